@@ -1,0 +1,1 @@
+"""2D laser SLAM for wheeled robots in which no scan is a snapshot."""

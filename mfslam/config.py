@@ -1,0 +1,268 @@
+"""Every setting, its unit, meaning and default. Defaults live here; YAML files hold only what differs.
+
+Layers, later ones win: defaults < the driver's sensor preset < ``--preset`` files < ``--config`` file <
+``--set stage.key=value``. An unknown key or a value out of range is an error with file, line and the
+nearest known name.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from mfslam.types import MfslamError
+
+
+class _Stage(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class SensorConfig(_Stage):
+    """The laser: geometry and timing. Empty (null) values are taken from the log where it tells them."""
+
+    name: str = Field("generic", description="Name of the sensor model; for reports only.")
+    angle_min_deg: float | None = Field(
+        None, description="Bearing of the first beam in the laser frame, deg. Null: from the log."
+    )
+    angle_step_deg: float | None = Field(
+        None, description="Bearing from one beam to the next (eq. 14), deg. Null: from the log."
+    )
+    range_min_m: float | None = Field(
+        None, ge=0, description="Shorter ranges are ignored, m. Null: from the log."
+    )
+    range_max_m: float | None = Field(
+        None, gt=0, description="Ranges at or beyond this are no return, m. Null: from the log."
+    )
+    range_sigma_m: float = Field(0.02, gt=0, description="One-sigma noise of one range, m.")
+    turn_period_s: float | None = Field(
+        None, ge=0, description="Period of one mirror turn T_s (eq. 15), s. Null: from the log; 0: a snapshot."
+    )
+    interlace: int = Field(
+        1, ge=1, description="Mirror turns that make up one scan with interleaved beams (SICK LMS: 0.5 deg takes 2)."
+    )
+    reversed_beams: bool = Field(
+        False, description="The laser turns against the order of its beams: the last beam is sensed first."
+    )
+    upside_down: bool = Field(False, description="The laser is mounted upside down: bearings change sign.")
+    stamp_at: Literal["first", "middle", "last"] = Field(
+        "first", description="Beam of the scan that the stamp belongs to."
+    )
+    transport_delay_s: float = Field(
+        0.0,
+        description="t_ND (eq. 15): added to every beam's instant, s. Negative: scans are older than their "
+        "stamps say, measured on the wheels' clock.",
+    )
+    mount_x_m: float | None = Field(None, description="Laser ahead of the body's origin, m. Null: from the log, else 0.")
+    mount_y_m: float | None = Field(None, description="Laser left of the body's origin, m. Null: from the log, else 0.")
+    mount_yaw_deg: float | None = Field(None, description="Laser's heading on the body, deg. Null: from the log, else 0.")
+
+
+class WheelsConfig(_Stage):
+    """Differential drive (eqs. 7-13): needed only for logs of encoder ticks or wheel angles."""
+
+    radius_left_m: float = Field(0.05, gt=0, description="Radius of the left wheel, m.")
+    radius_right_m: float = Field(0.05, gt=0, description="Radius of the right wheel, m.")
+    track_m: float = Field(0.3, gt=0, description="Distance between the wheels L (effective track for tracked robots), m.")
+    ticks_per_turn: float = Field(1024.0, gt=0, description="Encoder ticks of one whole wheel turn.")
+    swap_sides: bool = Field(False, description="The log's first wheel is the right one.")
+    left_joint: str | None = Field(None, description="JointState name of the left wheel. Null: found by name.")
+    right_joint: str | None = Field(None, description="JointState name of the right wheel. Null: found by name.")
+    yaw_rate_rule: Literal["exact", "arctangent"] = Field(
+        "exact", description="(v_R - v_L)/L, or eq. 11's arctangent of it as the paper prints it."
+    )
+
+
+class OdometryConfig(_Stage):
+    """How far the wheels are believed: slip-aware noise of a wheel-odometry factor."""
+
+    use: bool = Field(True, description="Use wheel odometry where the log has it.")
+    sigma_translation_per_m: float = Field(0.05, gt=0, description="Sigma of the distance driven, m per m.")
+    sigma_lateral_per_m: float = Field(0.03, gt=0, description="Sigma of sideways slip, m per m.")
+    sigma_rotation_per_rad: float = Field(0.08, gt=0, description="Sigma of a turn, rad per rad turned.")
+    sigma_rotation_per_m: float = Field(0.03, gt=0, description="Sigma of heading drift, rad per m driven.")
+    sigma_floor_m: float = Field(0.005, gt=0, description="Floor of the translation sigma of any step, m.")
+    sigma_floor_rad: float = Field(0.003, gt=0, description="Floor of the rotation sigma of any step, rad.")
+    max_speed_m_s: float = Field(5.0, gt=0, description="Faster wheel motion is a jump, not driving, m/s.")
+    max_yaw_rate_rad_s: float = Field(6.0, gt=0, description="Faster wheel turning is a jump, rad/s.")
+
+
+class DeskewConfig(_Stage):
+    """Where each beam is taken to have been sensed from."""
+
+    mode: Literal["pose", "range", "none"] = Field(
+        "pose",
+        description="pose: every beam from its own pose (eqs. 14-18); range: the paper's scalar range "
+        "correction (eqs. 19-24); none: the scan is a snapshot (conventional).",
+    )
+
+
+class MapConfig(_Stage):
+    """The occupancy grid made of every beam of every scan."""
+
+    resolution_m: float = Field(0.05, gt=0, description="Cell size of map.pgm, m.")
+    max_range_m: float = Field(30.0, gt=0, description="Beams are traced no farther than this, m.")
+    no_return_free_m: float = Field(
+        0.0, ge=0, description="Free space taken from beams without return, m along the beam. 0: none."
+    )
+    min_hits: int = Field(2, ge=1, description="Fewer hits than this never make a cell occupied.")
+    occupied_share: float = Field(
+        0.25, gt=0, lt=1, description="A cell is occupied when hits / (hits + passes) is at least this."
+    )
+
+
+class Config(_Stage):
+    """All stages."""
+
+    sensor: SensorConfig = Field(default_factory=SensorConfig)
+    wheels: WheelsConfig = Field(default_factory=WheelsConfig)
+    odometry: OdometryConfig = Field(default_factory=OdometryConfig)
+    deskew: DeskewConfig = Field(default_factory=DeskewConfig)
+    map: MapConfig = Field(default_factory=MapConfig)
+
+
+# --- presets and files -------------------------------------------------------------------------------
+
+
+def preset_folder() -> Path:
+    """Folder of the shipped presets: inside the package in a wheel, beside it in a checkout."""
+    here = Path(__file__).resolve().parent
+    for folder in (here / "configs", here.parent / "configs"):
+        if folder.is_dir():
+            return folder
+    raise MfslamError(f"presets not found beside {here}: the installation is incomplete; install mfslam again")
+
+
+def preset_names() -> list[str]:
+    return sorted(p.stem for p in preset_folder().glob("*.yaml"))
+
+
+def preset_path(name: str) -> Path:
+    """Path of a preset by its name, or of a YAML file by its path."""
+    path = preset_folder() / f"{name}.yaml"
+    if path.is_file():
+        return path
+    if Path(name).is_file():
+        return Path(name)
+    near = difflib.get_close_matches(name, preset_names(), n=1)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    raise MfslamError(f"no preset and no file {name!r}{hint} Presets: {', '.join(preset_names())}")
+
+
+def load(files: Iterable[Path | str] = (), settings: Iterable[str] = ()) -> Config:
+    """Defaults, overlaid by YAML files in order, then by ``stage.key=value`` settings.
+
+    Raises MfslamError with file and line (or the setting) for anything that is not understood.
+    """
+    merged: dict[str, Any] = {}
+    origin: dict[tuple[str, ...], str] = {}
+    for file in files:
+        _overlay(merged, origin, _read_yaml(Path(file)))
+    for setting in settings:
+        _overlay(merged, origin, _parse_setting(setting))
+    try:
+        return Config.model_validate(merged)
+    except ValidationError as error:
+        raise MfslamError("\n".join(_explain(error, origin))) from None
+
+
+_Leaf = tuple[tuple[str, ...], Any, str]  # path of keys, value, where it was said
+
+
+def _overlay(merged: dict[str, Any], origin: dict[tuple[str, ...], str], leaves: Iterator[_Leaf]) -> None:
+    for path, value, where in leaves:
+        node = merged
+        for key in path[:-1]:
+            node = node.setdefault(key, {})
+            if not isinstance(node, dict):
+                raise MfslamError(f"{where}: {'.'.join(path)} was given a value and keys below it")
+        node[path[-1]] = value
+        for n in range(1, len(path) + 1):
+            origin[path[:n]] = where
+
+
+def _read_yaml(path: Path) -> Iterator[_Leaf]:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+    try:
+        data = YAML(typ="rt").load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise MfslamError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise MfslamError(f"{path}: expected a YAML text file, got binary data") from None
+    except MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise MfslamError(f"{path}:{line}: not valid YAML: {error.problem}") from None
+    except YAMLError as error:
+        raise MfslamError(f"{path}: not valid YAML: {error}") from None
+    if data is None:
+        return
+    if not isinstance(data, dict):
+        raise MfslamError(f"{path}:1: expected 'stage:' with keys below it; see `mfslam config`")
+    yield from _yaml_leaves(data, (), path)
+
+
+def _yaml_leaves(node: Any, path: tuple[str, ...], file: Path) -> Iterator[_Leaf]:
+    for key, value in node.items():
+        line = node.lc.key(key)[0] + 1
+        here = (*path, str(key))
+        if isinstance(value, dict):
+            yield from _yaml_leaves(value, here, file)
+        else:
+            yield here, value, f"{file}:{line}"
+
+
+def _parse_setting(setting: str) -> Iterator[_Leaf]:
+    from ruamel.yaml import YAML
+
+    key, equals, text = setting.partition("=")
+    if not equals or not key.strip():
+        raise MfslamError(f"--set {setting}: expected stage.key=value, for example --set map.resolution_m=0.02")
+    yield tuple(key.strip().split(".")), YAML(typ="safe").load(text), f"--set {setting}"
+
+
+def _explain(error: ValidationError, origin: dict[tuple[str, ...], str]) -> Iterator[str]:
+    for item in error.errors():
+        path = tuple(str(p) for p in item["loc"])
+        where = next((origin[path[:n]] for n in range(len(path), 0, -1) if path[:n] in origin), "config")
+        message = item["msg"]
+        if item["type"] == "extra_forbidden":
+            known = _known_keys(path[:-1])
+            near = difflib.get_close_matches(path[-1], known, n=1)
+            message = "no such setting" + (f"; did you mean {near[0]}?" if near else "")
+            message += f" (known here: {', '.join(known)})"
+        yield f"{where}: {'.'.join(path)}: {message}"
+
+
+def _known_keys(path: tuple[str, ...]) -> list[str]:
+    if not path:
+        return list(Config.model_fields)
+    stage = Config.model_fields.get(path[0])
+    model = stage.annotation if stage else None
+    return list(model.model_fields) if isinstance(model, type) and issubclass(model, BaseModel) else []
+
+
+def describe(config: Config | None = None) -> str:
+    """The whole config as YAML, every setting with its meaning (and unit) as a comment."""
+    config = config or Config()
+    out: list[str] = []
+    for stage_name in Config.model_fields:
+        stage: BaseModel = getattr(config, stage_name)
+        doc = " ".join((type(stage).__doc__ or "").split())
+        out.append(f"# {doc}")
+        out.append(f"{stage_name}:")
+        for key, info in type(stage).model_fields.items():
+            out.append(f"  # {info.description}")
+            out.append(f"  {key}: {_yaml_scalar(getattr(stage, key))}")
+        out.append("")
+    return "\n".join(out)
+
+
+def _yaml_scalar(value: Any) -> str:
+    import json
+
+    return "null" if value is None else json.dumps(value)
