@@ -39,10 +39,14 @@ class SensorConfig(_Stage):
     )
     range_sigma_m: float = Field(0.02, gt=0, description="One-sigma noise of one range, m.")
     turn_period_s: float | None = Field(
-        None, ge=0, description="Period of one mirror turn T_s (eq. 15), s. Null: from the log; 0: a snapshot."
+        None,
+        ge=0,
+        description="Period of one mirror turn T_s (eq. 15), s. Null: from the log; 0: a snapshot.",
     )
     interlace: int = Field(
-        1, ge=1, description="Mirror turns that make up one scan with interleaved beams (SICK LMS: 0.5 deg takes 2)."
+        1,
+        ge=1,
+        description="Mirror turns that make up one scan with interleaved beams (SICK LMS: 0.5 deg takes 2).",
     )
     reversed_beams: bool = Field(
         False, description="The laser turns against the order of its beams: the last beam is sensed first."
@@ -56,9 +60,15 @@ class SensorConfig(_Stage):
         description="t_ND (eq. 15): added to every beam's instant, s. Negative: scans are older than their "
         "stamps say, measured on the wheels' clock.",
     )
-    mount_x_m: float | None = Field(None, description="Laser ahead of the body's origin, m. Null: from the log, else 0.")
-    mount_y_m: float | None = Field(None, description="Laser left of the body's origin, m. Null: from the log, else 0.")
-    mount_yaw_deg: float | None = Field(None, description="Laser's heading on the body, deg. Null: from the log, else 0.")
+    mount_x_m: float | None = Field(
+        None, description="Laser ahead of the body's origin, m. Null: from the log, else 0."
+    )
+    mount_y_m: float | None = Field(
+        None, description="Laser left of the body's origin, m. Null: from the log, else 0."
+    )
+    mount_yaw_deg: float | None = Field(
+        None, description="Laser's heading on the body, deg. Null: from the log, else 0."
+    )
 
 
 class WheelsConfig(_Stage):
@@ -66,11 +76,17 @@ class WheelsConfig(_Stage):
 
     radius_left_m: float = Field(0.05, gt=0, description="Radius of the left wheel, m.")
     radius_right_m: float = Field(0.05, gt=0, description="Radius of the right wheel, m.")
-    track_m: float = Field(0.3, gt=0, description="Distance between the wheels L (effective track for tracked robots), m.")
+    track_m: float = Field(
+        0.3, gt=0, description="Distance between the wheels L (effective track for tracked robots), m."
+    )
     ticks_per_turn: float = Field(1024.0, gt=0, description="Encoder ticks of one whole wheel turn.")
     swap_sides: bool = Field(False, description="The log's first wheel is the right one.")
-    left_joint: str | None = Field(None, description="JointState name of the left wheel. Null: found by name.")
-    right_joint: str | None = Field(None, description="JointState name of the right wheel. Null: found by name.")
+    left_joint: str | None = Field(
+        None, description="JointState name of the left wheel. Null: found by name."
+    )
+    right_joint: str | None = Field(
+        None, description="JointState name of the right wheel. Null: found by name."
+    )
     yaw_rate_rule: Literal["exact", "arctangent"] = Field(
         "exact", description="(v_R - v_L)/L, or eq. 11's arctangent of it as the paper prints it."
     )
@@ -117,11 +133,11 @@ class MapConfig(_Stage):
 class Config(_Stage):
     """All stages."""
 
-    sensor: SensorConfig = Field(default_factory=SensorConfig)
-    wheels: WheelsConfig = Field(default_factory=WheelsConfig)
-    odometry: OdometryConfig = Field(default_factory=OdometryConfig)
-    deskew: DeskewConfig = Field(default_factory=DeskewConfig)
-    map: MapConfig = Field(default_factory=MapConfig)
+    sensor: SensorConfig = SensorConfig()
+    wheels: WheelsConfig = WheelsConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    deskew: DeskewConfig = DeskewConfig()
+    map: MapConfig = MapConfig()
 
 
 # --- presets and files -------------------------------------------------------------------------------
@@ -133,7 +149,9 @@ def preset_folder() -> Path:
     for folder in (here / "configs", here.parent / "configs"):
         if folder.is_dir():
             return folder
-    raise MfslamError(f"presets not found beside {here}: the installation is incomplete; install mfslam again")
+    raise MfslamError(
+        f"presets not found beside {here}: the installation is incomplete; install mfslam again"
+    )
 
 
 def preset_names() -> list[str]:
@@ -221,7 +239,9 @@ def _parse_setting(setting: str) -> Iterator[_Leaf]:
 
     key, equals, text = setting.partition("=")
     if not equals or not key.strip():
-        raise MfslamError(f"--set {setting}: expected stage.key=value, for example --set map.resolution_m=0.02")
+        raise MfslamError(
+            f"--set {setting}: expected stage.key=value, for example --set map.resolution_m=0.02"
+        )
     yield tuple(key.strip().split(".")), YAML(typ="safe").load(text), f"--set {setting}"
 
 
