@@ -116,6 +116,42 @@ class DeskewConfig(_Stage):
     )
 
 
+class IcpConfig(_Stage):
+    """Registration of two deskewed scans."""
+
+    method: Literal["point_to_line", "point_to_point"] = Field(
+        "point_to_line",
+        description="point_to_line: robust Gauss-Newton; point_to_point: the paper's closed form by SVD (eqs. 25-39).",
+    )
+    max_iterations: int = Field(30, ge=1, description="Iterations at most.")
+    search_radius_m: float = Field(0.5, gt=0, description="Partners are sought this far at the start, m.")
+    final_radius_m: float = Field(0.15, gt=0, description="Partners are sought this far at the end, m.")
+    kernel_sigmas: float = Field(3.0, gt=0, description="Scale of the Geman-McClure kernel, in range sigmas.")
+    point_spacing_m: float = Field(0.05, ge=0, description="Points of a scan are thinned to this spacing, m.")
+    independent_share: float = Field(
+        0.15,
+        gt=0,
+        le=1,
+        description="Share of the beams that count as independent in the information of a match: errors of "
+        "neighbouring beams are correlated.",
+    )
+    sigma_floor_m: float = Field(0.004, ge=0, description="Systematic error of any match, m (one sigma).")
+    sigma_floor_deg: float = Field(0.10, ge=0, description="Systematic error of any match, deg (one sigma).")
+
+
+class FrontendConfig(_Stage):
+    """From scan to scan: prediction, matching against the recent past, choice of keyframes."""
+
+    keyframe_distance_m: float = Field(0.3, gt=0, description="A keyframe at least every so far, m.")
+    keyframe_angle_deg: float = Field(15.0, gt=0, description="A keyframe at least every so much turning, deg.")
+    local_keyframes: int = Field(14, ge=1, description="Keyframes that make up the recent map.")
+    min_inlier_ratio: float = Field(
+        0.55, gt=0, lt=1, description="Below this share of partnered points a fit is poor and a search is made."
+    )
+    search_window_m: float = Field(1.2, gt=0, description="Half window of the recovery search, m.")
+    search_angle_deg: float = Field(100.0, gt=0, description="Half window of the recovery search, deg.")
+
+
 class MapConfig(_Stage):
     """The occupancy grid made of every beam of every scan."""
 
@@ -137,6 +173,8 @@ class Config(_Stage):
     wheels: WheelsConfig = WheelsConfig()
     odometry: OdometryConfig = OdometryConfig()
     deskew: DeskewConfig = DeskewConfig()
+    icp: IcpConfig = IcpConfig()
+    frontend: FrontendConfig = FrontendConfig()
     map: MapConfig = MapConfig()
 
 

@@ -1,0 +1,47 @@
+"""A raw scan and the motion during it -> points as if sensed at one instant (eqs. 14-18; 19-24)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mfslam.config import DeskewConfig
+from mfslam.kernels import scans as kernels
+from mfslam.types import DeskewedScan, FloatArray, Laser, Scan
+
+STILL = np.zeros(3)
+
+
+def reference_offset_s(laser: Laser) -> float:
+    """Instant that a scan's points are carried to, relative to its stamp: the stamp itself when the scan
+    was sensed around it, else (transport delay) the nearest instant of the scan."""
+    return float(np.clip(0.0, laser.offsets_s.min(), laser.offsets_s.max()))
+
+
+def deskew(
+    scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: float = 0.0
+) -> DeskewedScan:
+    """Points of ``scan`` in the body frame at its reference instant.
+
+    ``body_twist`` (3,): m/s, m/s, rad/s, taken as constant through the scan. ``spacing_m``: points in
+    beam order are thinned to this spacing after their normals were estimated.
+    """
+    laser = scan.laser
+    reference_s = reference_offset_s(laser)
+    times_s = laser.offsets_s - reference_s
+    ranges_m = scan.ranges_m
+    twist = body_twist if config.mode == "pose" else STILL
+    if config.mode == "range":
+        # eqs. 19-24: e_d = v (t_j - t_ref), one number along the beam whatever its bearing
+        ranges_m = (ranges_m + body_twist[0] * times_s).astype(np.float32)
+    points, beams = kernels.project_beams(
+        ranges_m, laser.angles_rad, times_s, laser.body_T_laser, twist, laser.range_min_m, laser.range_max_m
+    )
+    step = abs(float(laser.angles_rad[1] - laser.angles_rad[0])) if laser.angles_rad.size > 1 else 0.0
+    normals = kernels.estimate_normals(
+        points, beams, laser.body_T_laser[:2], step, laser.range_sigma_m
+    )
+    if spacing_m > 0.0:
+        keep = kernels.thin_points(points, normals, spacing_m)
+        points, normals, beams = points[keep], normals[keep], beams[keep]
+    reference_ns = scan.stamp_ns + round(reference_s * 1e9)
+    return DeskewedScan(reference_ns, points, normals, beams)

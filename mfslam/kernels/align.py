@@ -1,0 +1,165 @@
+"""Iterations of registration: point-to-line (Gauss-Newton) and point-to-point (closed form)."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from mfslam.kernels.cells import CellTable, cell_key, find_slot
+from mfslam.kernels.poses import wrap_angle
+from mfslam.types import FloatArray
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _nearest(
+    table: CellTable, cell: float, x: float, y: float, nx: float, ny: float, radius: float, min_cos: float
+) -> tuple[int, float]:
+    """Row of the nearest point within ``radius`` whose normal agrees (where both have one), or -1."""
+    keys, starts, counts, rows = table
+    best, best_d2 = -1, radius * radius
+    oriented = nx != 0.0 or ny != 0.0
+    x0, x1 = math.floor((x - radius) / cell), math.floor((x + radius) / cell)
+    y0, y1 = math.floor((y - radius) / cell), math.floor((y + radius) / cell)
+    for ix in range(x0, x1 + 1):
+        for iy in range(y0, y1 + 1):
+            key = cell_key(ix, iy)
+            slot = find_slot(keys, key)
+            if keys[slot] != key:
+                continue
+            for q in range(starts[slot], starts[slot] + counts[slot]):
+                dx, dy = rows[q, 0] - x, rows[q, 1] - y
+                d2 = dx * dx + dy * dy
+                if d2 < best_d2:
+                    if oriented and (rows[q, 2] != 0.0 or rows[q, 3] != 0.0):
+                        if nx * rows[q, 2] + ny * rows[q, 3] < min_cos:
+                            continue
+                    best, best_d2 = q, d2
+    return best, best_d2
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _solve3(
+    a: FloatArray, b0: float, b1: float, b2: float
+) -> tuple[bool, float, float, float]:
+    """Solution of the symmetric 3x3 system a x = b by Cramer's rule; False where it is singular."""
+    c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
+    c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
+    c02 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
+    det = a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02
+    if not abs(det) > 1e-12:
+        return False, 0.0, 0.0, 0.0
+    c11 = a[0, 0] * a[2, 2] - a[0, 2] * a[0, 2]
+    c12 = a[0, 1] * a[0, 2] - a[0, 0] * a[1, 2]
+    c22 = a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]
+    return (
+        True,
+        (c00 * b0 + c01 * b1 + c02 * b2) / det,
+        (c01 * b0 + c11 * b1 + c12 * b2) / det,
+        (c02 * b0 + c12 * b1 + c22 * b2) / det,
+    )
+
+
+@njit(cache=True, nogil=True)
+def point_to_line(
+    table: CellTable,
+    cell: float,
+    points: FloatArray,
+    normals: FloatArray,
+    guess: FloatArray,
+    prior: FloatArray,
+    prior_information: FloatArray,
+    sigma: float,
+    kernel_sigmas: float,
+    radius_start: float,
+    radius_end: float,
+    max_iterations: int,
+) -> tuple[FloatArray, FloatArray, int, float, int, bool]:
+    """Robust point-to-line registration from ``guess``, with a Gaussian ``prior`` on the pose.
+
+    Minimises sum rho(n . (T p - q)) / sigma^2 + \\|log(prior^-1 T)\\|^2 by Gauss-Newton on the right
+    perturbation of ref_T_src; rho is Geman-McClure of scale ``kernel_sigmas`` sigma. The search radius
+    and the scale of the kernel shrink while it converges.
+    Returns ref_T_src, the information of the data alone (3, 3), the number of partnered points, the
+    root mean square of their residuals, iterations and whether it converged.
+    """
+    m = points.shape[0]
+    rows = table[3]
+    pose = guess.copy()
+    h = np.zeros((3, 3))
+    a = np.zeros((3, 3))
+    paired = 0
+    rms = 0.0
+    converged = False
+    iteration = 0
+    inv_s2 = 1.0 / (sigma * sigma)
+    min_cos = 0.7
+    radius = radius_start
+    while iteration < max_iterations:
+        iteration += 1
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        # the kernel opens with the search radius so that a far guess is not thrown away as outliers
+        scale = max(kernel_sigmas * sigma, 0.25 * radius)
+        k2 = scale * scale
+        h[:] = 0.0
+        b0 = b1 = b2 = 0.0
+        paired = 0
+        sum_r2 = 0.0
+        weight_sum = 0.0
+        for i in range(m):
+            px, py = points[i, 0], points[i, 1]
+            x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
+            wnx = c * normals[i, 0] - s * normals[i, 1]
+            wny = s * normals[i, 0] + c * normals[i, 1]
+            q, _ = _nearest(table, cell, x, y, wnx, wny, radius, min_cos)
+            if q < 0:
+                continue
+            paired += 1
+            nx, ny = rows[q, 2], rows[q, 3]
+            if nx == 0.0 and ny == 0.0:
+                nx, ny = wnx, wny
+                if nx == 0.0 and ny == 0.0:
+                    continue
+            r = nx * (x - rows[q, 0]) + ny * (y - rows[q, 1])
+            w = k2 / (k2 + r * r)
+            w *= w
+            # d r / d (right perturbation): rotate the normal into the source frame
+            j0, j1 = c * nx + s * ny, -s * nx + c * ny
+            j2 = j1 * px - j0 * py
+            wi = w * inv_s2
+            h[0, 0] += wi * j0 * j0
+            h[0, 1] += wi * j0 * j1
+            h[0, 2] += wi * j0 * j2
+            h[1, 1] += wi * j1 * j1
+            h[1, 2] += wi * j1 * j2
+            h[2, 2] += wi * j2 * j2
+            b0 -= wi * j0 * r
+            b1 -= wi * j1 * r
+            b2 -= wi * j2 * r
+            sum_r2 += w * r * r
+            weight_sum += w
+        h[1, 0], h[2, 0], h[2, 1] = h[0, 1], h[0, 2], h[1, 2]
+        rms = math.sqrt(sum_r2 / weight_sum) if weight_sum > 0.0 else 0.0
+        # error of the pose from the prior, small angles, in the frame of the pose
+        ex, ey = prior[0] - pose[0], prior[1] - pose[1]
+        e0, e1 = c * ex + s * ey, -s * ex + c * ey
+        e2 = wrap_angle(prior[2] - pose[2])
+        for u in range(3):
+            for v in range(3):
+                a[u, v] = h[u, v] + prior_information[u, v]
+        b0 += prior_information[0, 0] * e0 + prior_information[0, 1] * e1 + prior_information[0, 2] * e2
+        b1 += prior_information[1, 0] * e0 + prior_information[1, 1] * e1 + prior_information[1, 2] * e2
+        b2 += prior_information[2, 0] * e0 + prior_information[2, 1] * e1 + prior_information[2, 2] * e2
+        ok, d0, d1, d2 = _solve3(a, b0, b1, b2)
+        if not ok:
+            break
+        pose[0] += c * d0 - s * d1
+        pose[1] += s * d0 + c * d1
+        pose[2] += d2
+        small = abs(d0) + abs(d1) < 2e-4 and abs(d2) < 1e-4
+        if small and radius <= radius_end:
+            converged = True
+            break
+        if small or iteration >= 2:
+            radius = max(radius_end, 0.6 * radius)
+    pose[2] = wrap_angle(pose[2])
+    return pose, h, paired, rms, iteration, converged

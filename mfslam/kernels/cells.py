@@ -1,0 +1,115 @@
+"""A hash grid over oriented points: the nearest-neighbour structure of every registration."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from mfslam.types import FloatArray, IntArray
+
+# key and first slot per table entry, entry count; points sorted by cell
+CellTable = tuple[IntArray, IntArray, IntArray, FloatArray]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def cell_key(ix: int, iy: int) -> int:
+    return (ix << 32) ^ (iy & 0xFFFFFFFF)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def find_slot(keys: IntArray, key: int) -> int:
+    """Slot of ``key``, or of the free place where it would go (a free key is the minimum integer)."""
+    mask = keys.shape[0] - 1
+    h = key * -7046029254386353131
+    h ^= h >> 29
+    slot = h & mask
+    while keys[slot] != key and keys[slot] != np.iinfo(np.int64).min:
+        slot = (slot + 1) & mask
+    return slot
+
+
+@njit(cache=True, nogil=True)
+def build_cells(oriented: FloatArray, cell: float) -> CellTable:
+    """Hash grid over oriented points (M, 4): rows x, y, nx, ny, which it keeps sorted by cell."""
+    m = oriented.shape[0]
+    capacity = 16
+    while capacity < 2 * m:
+        capacity *= 2
+    keys = np.full(capacity, np.iinfo(np.int64).min, np.int64)
+    counts = np.zeros(capacity, np.int64)
+    slots = np.empty(m, np.int64)
+    for k in range(m):
+        key = cell_key(math.floor(oriented[k, 0] / cell), math.floor(oriented[k, 1] / cell))
+        slot = find_slot(keys, key)
+        keys[slot] = key
+        counts[slot] += 1
+        slots[k] = slot
+    starts = np.empty(capacity, np.int64)
+    total = 0
+    for s in range(capacity):
+        starts[s] = total
+        total += counts[s]
+    fill = starts.copy()
+    rows = np.empty((m, 4))
+    for k in range(m):
+        at = fill[slots[k]]
+        fill[slots[k]] += 1
+        for u in range(4):
+            rows[at, u] = oriented[k, u]
+    return keys, starts, counts, rows
+
+
+@njit(cache=True, nogil=True)
+def smooth_surface(table: CellTable, cell: float, radius: float, spacing: float) -> FloatArray:
+    """Surface points (K, 4) of a table: thinned to about ``spacing``, each moved along its normal to the
+    mean of its like-minded neighbours within ``radius``.
+
+    Nearest-neighbour matching against the raw points of many scans favours the ones whose noise happens
+    to lie near the guess; the mean has no such pull.
+    """
+    keys, starts, counts, rows = table
+    m = rows.shape[0]
+    out = np.empty((m, 4))
+    taken = np.zeros(m, np.bool_)
+    k = 0
+    r2, s2 = radius * radius, spacing * spacing
+    for i in range(m):
+        if taken[i]:
+            continue
+        x, y, nx, ny = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
+        oriented = nx != 0.0 or ny != 0.0
+        cnt = 0
+        along = off = 0.0
+        sx = sy = 0.0
+        for ix in range(math.floor((x - radius) / cell), math.floor((x + radius) / cell) + 1):
+            for iy in range(math.floor((y - radius) / cell), math.floor((y + radius) / cell) + 1):
+                key = cell_key(ix, iy)
+                slot = find_slot(keys, key)
+                if keys[slot] != key:
+                    continue
+                for q in range(starts[slot], starts[slot] + counts[slot]):
+                    dx, dy = rows[q, 0] - x, rows[q, 1] - y
+                    d2 = dx * dx + dy * dy
+                    if d2 > r2:
+                        continue
+                    if not oriented:
+                        if d2 <= s2:
+                            taken[q] = True
+                        continue
+                    if nx * rows[q, 2] + ny * rows[q, 3] < 0.85:
+                        continue
+                    if d2 <= s2:
+                        taken[q] = True
+                    cnt += 1
+                    off += nx * dx + ny * dy
+                    along += -ny * dx + nx * dy
+                    sx += rows[q, 2]
+                    sy += rows[q, 3]
+        out[k] = rows[i]
+        if cnt > 1:
+            norm = math.sqrt(sx * sx + sy * sy)
+            out[k, 0] = x + (off * nx - along * ny) / cnt
+            out[k, 1] = y + (off * ny + along * nx) / cnt
+            out[k, 2], out[k, 3] = sx / norm, sy / norm
+        k += 1
+    return out[:k]

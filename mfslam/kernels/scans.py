@@ -1,0 +1,128 @@
+"""From the ranges of one scan to oriented points: per-beam projection, normals, thinning."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from mfslam.types import BoolArray, Float32Array, FloatArray, IntArray
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _exp(vx: float, vy: float, w: float) -> tuple[float, float, float]:
+    """SE(2) exponential of a twist held for unit time."""
+    if abs(w) < 1e-9:
+        return vx - 0.5 * w * vy, vy + 0.5 * w * vx, w
+    s, c = math.sin(w) / w, (1.0 - math.cos(w)) / w
+    return s * vx - c * vy, c * vx + s * vy, w
+
+
+@njit(cache=True, nogil=True)
+def project_beams(
+    ranges: Float32Array,
+    angles: FloatArray,
+    times: FloatArray,
+    mount: FloatArray,
+    twist: FloatArray,
+    range_min: float,
+    range_max: float,
+) -> tuple[FloatArray, IntArray]:
+    """End points of the valid beams in the body frame at time 0, each from the body's pose at its time.
+
+    ``times`` (N,): instants of the beams from the reference, s. ``twist`` (3,): body velocity held
+    through the scan. Eqs. 16-18 with an exact arc and the mount in between.
+    Returns points (M, 2) and the index (M,) of their beams.
+    """
+    n = ranges.shape[0]
+    points = np.empty((n, 2))
+    beams = np.empty(n, np.int64)
+    m = 0
+    still = twist[0] == 0.0 and twist[1] == 0.0 and twist[2] == 0.0
+    cm, sm = math.cos(mount[2]), math.sin(mount[2])
+    for j in range(n):
+        r = ranges[j]
+        if not (range_min <= r < range_max):
+            continue
+        lx, ly = r * math.cos(angles[j]), r * math.sin(angles[j])
+        bx, by = mount[0] + cm * lx - sm * ly, mount[1] + sm * lx + cm * ly
+        if not still:
+            t = times[j]
+            x, y, th = _exp(twist[0] * t, twist[1] * t, twist[2] * t)
+            c, s = math.cos(th), math.sin(th)
+            bx, by = x + c * bx - s * by, y + s * bx + c * by
+        points[m, 0], points[m, 1] = bx, by
+        beams[m] = j
+        m += 1
+    return points[:m], beams[:m]
+
+
+@njit(cache=True, nogil=True)
+def estimate_normals(
+    points: FloatArray, beams: IntArray, origin: FloatArray, beam_step: float, sigma: float
+) -> FloatArray:
+    """Normals (M, 2) facing the sensor, by a line through each point's neighbours in beam order.
+
+    (0, 0) where there are fewer than three, or where they are no line (spread across it above 3 sigma
+    and above a fifth of the spread along it).
+    """
+    m = points.shape[0]
+    normals = np.zeros((m, 2))
+    reach = 8
+    for k in range(m):
+        px, py = points[k, 0], points[k, 1]
+        dx, dy = px - origin[0], py - origin[1]
+        dist = math.sqrt(dx * dx + dy * dy)
+        radius = min(2.0, max(0.15, 4.0 * dist * beam_step))
+        r2 = radius * radius
+        cnt = 1
+        sx = sy = sxx = sxy = syy = 0.0
+        for side in (-1, 1):
+            for step in range(1, reach + 1):
+                q = k + side * step
+                if q < 0 or q >= m or abs(beams[q] - beams[k]) > reach + 2:
+                    break
+                ex, ey = points[q, 0] - px, points[q, 1] - py
+                if ex * ex + ey * ey > r2:
+                    break
+                sx += ex
+                sy += ey
+                sxx += ex * ex
+                sxy += ex * ey
+                syy += ey * ey
+                cnt += 1
+        if cnt < 3:
+            continue
+        mx, my = sx / cnt, sy / cnt
+        cxx, cxy, cyy = sxx / cnt - mx * mx, sxy / cnt - mx * my, syy / cnt - my * my
+        half_trace, half_diff = 0.5 * (cxx + cyy), 0.5 * (cxx - cyy)
+        root = math.sqrt(half_diff * half_diff + cxy * cxy)
+        small, large = max(0.0, half_trace - root), half_trace + root
+        if large < 1e-8 or (small > 9.0 * sigma * sigma) or small > 0.04 * large:
+            continue
+        # the eigenvector of the small eigenvalue, turned towards the sensor
+        angle = 0.5 * math.atan2(2.0 * cxy, cxx - cyy) + 0.5 * math.pi
+        nx, ny = math.cos(angle), math.sin(angle)
+        if nx * dx + ny * dy > 0.0:
+            nx, ny = -nx, -ny
+        normals[k, 0], normals[k, 1] = nx, ny
+    return normals
+
+
+@njit(cache=True, nogil=True)
+def thin_points(points: FloatArray, normals: FloatArray, spacing: float) -> BoolArray:
+    """Which points to keep so that neighbours in beam order stand at least ``spacing`` apart (oriented
+    ones first served)."""
+    m = points.shape[0]
+    keep = np.zeros(m, np.bool_)
+    lx = ly = 1e18
+    s2 = spacing * spacing
+    for k in range(m):
+        dx, dy = points[k, 0] - lx, points[k, 1] - ly
+        if dx * dx + dy * dy >= s2:
+            if normals[k, 0] == 0.0 and normals[k, 1] == 0.0 and k + 1 < m:
+                ex, ey = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
+                if ex * ex + ey * ey < s2 and (normals[k + 1, 0] != 0.0 or normals[k + 1, 1] != 0.0):
+                    continue
+            keep[k] = True
+            lx, ly = points[k, 0], points[k, 1]
+    return keep

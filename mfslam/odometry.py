@@ -1,0 +1,80 @@
+"""What the wheels say: a dead-reckoned track, its motion between instants and its honest noise."""
+
+from __future__ import annotations
+
+import bisect
+import math
+
+import numpy as np
+
+from mfslam import se2
+from mfslam.config import OdometryConfig
+from mfslam.kernels import poses
+from mfslam.types import FloatArray
+
+MIN_TWIST_WINDOW_S = 0.25
+
+
+class OdometryTrack:
+    """Dead-reckoned poses in log order. Stamps that go backwards are held at the latest one seen."""
+
+    def __init__(self) -> None:
+        self.times_s: list[float] = []
+        self.odom_T_body: list[FloatArray] = []
+        self.backwards_s = 0.0  # largest step back of a stamp
+
+    def add(self, time_s: float, odom_T_body: FloatArray) -> None:
+        if self.times_s and time_s < self.times_s[-1]:
+            self.backwards_s = max(self.backwards_s, self.times_s[-1] - time_s)
+            time_s = self.times_s[-1]
+        self.times_s.append(time_s)
+        self.odom_T_body.append(odom_T_body)
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def pose_at(self, time_s: float) -> FloatArray:
+        """Pose on the track (3,), constant twist between knots, held at both ends (eq. 16)."""
+        k = bisect.bisect_right(self.times_s, time_s)
+        if k == 0:
+            return self.odom_T_body[0]
+        if k == len(self.times_s):
+            return self.odom_T_body[-1]
+        t0, t1 = self.times_s[k - 1], self.times_s[k]
+        return se2.interpolate(self.odom_T_body[k - 1], self.odom_T_body[k], (time_s - t0) / (t1 - t0))
+
+    def twist_over(self, start_s: float, end_s: float, config: OdometryConfig) -> FloatArray:
+        """Mean body twist (3,) over an interval, widened where stamps are too coarse or lie."""
+        if len(self.times_s) < 2:
+            return np.zeros(3)
+        window_s = max(MIN_TWIST_WINDOW_S, 2.0 * self.backwards_s)
+        pad_s = max(0.0, 0.5 * (window_s - (end_s - start_s)))
+        t0 = min(max(start_s - pad_s, self.times_s[0]), self.times_s[-1])
+        t1 = max(min(end_s + pad_s, self.times_s[-1]), self.times_s[0])
+        if t1 - t0 < 1e-3:
+            return np.zeros(3)
+        twist = se2.log(poses.between(self.pose_at(t0), self.pose_at(t1))) / (t1 - t0)
+        if not is_plausible(twist, config):
+            return np.zeros(3)
+        return twist
+
+
+def is_plausible(twist: FloatArray, config: OdometryConfig) -> bool:
+    """Whether wheels can have turned so fast; otherwise it is a jump of the counters."""
+    return (
+        math.hypot(twist[0], twist[1]) <= config.max_speed_m_s and abs(twist[2]) <= config.max_yaw_rate_rad_s
+    )
+
+
+def step_sigmas(step: FloatArray, config: OdometryConfig) -> FloatArray:
+    """One-sigma noise (3,) of a wheel motion ``step`` (3,) in its own frame: grows with the distance and
+    the turn, sideways slip included."""
+    distance_m, turn_rad = math.hypot(step[0], step[1]), abs(step[2])
+    along = config.sigma_floor_m + config.sigma_translation_per_m * distance_m
+    across = config.sigma_floor_m + config.sigma_lateral_per_m * distance_m
+    turn = (
+        config.sigma_floor_rad
+        + config.sigma_rotation_per_rad * turn_rad
+        + config.sigma_rotation_per_m * distance_m
+    )
+    return np.array([along, across, turn])

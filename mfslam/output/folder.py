@@ -1,0 +1,86 @@
+"""The folder that a run leaves behind: checked before the work, written whole after it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mfslam.config import Config, describe
+from mfslam.output import g2o, maps, ply, report, tum
+from mfslam.output.staging import PART_SUFFIX, Staging, cannot_write
+from mfslam.output.summary import json_text, summarise
+from mfslam.types import MfslamError, RunResult
+
+RUN_MARKS = ("summary.json", "map.pgm")
+
+
+def prepare_folder(folder: Path, overwrite: bool = False) -> None:
+    """Make ``folder`` ready for a run, before any work is done.
+
+    Raises MfslamError when it is no folder, cannot be written, or holds something and ``overwrite`` is
+    off. Overwriting replaces the files of a run and leaves all others alone.
+    """
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise MfslamError(f"{folder}: expected a folder for the output, this is a file")
+        folder.mkdir(parents=True, exist_ok=True)
+        for stale in folder.glob(f".*{PART_SUFFIX}"):
+            stale.unlink()
+        if not overwrite:
+            _refuse_if_used(folder)
+        probe = folder / f".probe{PART_SUFFIX}"
+        probe.write_bytes(b"mfslam")
+        probe.unlink()
+    except OSError as error:
+        raise cannot_write(folder, error) from None
+
+
+def _refuse_if_used(folder: Path) -> None:
+    if any((folder / mark).exists() for mark in RUN_MARKS):
+        raise MfslamError(f"{folder}: already holds a run; give --overwrite to replace it, or another -o")
+    if any(folder.iterdir()):
+        raise MfslamError(f"{folder}: is not empty; give --overwrite to write into it, or another -o")
+
+
+def write_run(result: RunResult, config: Config, folder: Path) -> list[Path]:
+    """Write every file of a run; returns their paths.
+
+    All are written aside and renamed together at the end: when anything fails, `folder` is as it was.
+    Map, trajectories, graph and points are the same bytes for the same result. Raises MfslamError.
+    """
+    _check(result)
+    keyframe_stamps_ns = result.stamps_ns[result.keyframes]
+    world_T_keyframe = result.world_T_body[result.keyframes]
+    image = maps.grid_image(result.grid)
+    summary = summarise(result)
+    config_yaml = describe(config)
+    png = maps.png_bytes(image)
+    texts = {
+        "map.yaml": maps.yaml_text(result.grid),
+        "trajectory.tum": tum.trajectory_text(result.stamps_ns, result.world_T_body),
+        "keyframes.tum": tum.trajectory_text(keyframe_stamps_ns, world_T_keyframe),
+        "graph.g2o": g2o.graph_text(world_T_keyframe, result.edges),
+        "config.yaml": config_yaml,
+        "report.html": report.report_html(result, summary, config_yaml, png),
+        "summary.json": json_text(summary),
+    }
+    with Staging(folder) as staging:
+        with staging.open("map.pgm") as file:
+            file.write(maps.pgm_bytes(image))
+        with staging.open("map.png") as file:
+            file.write(png)
+        with staging.open("points.ply") as file:
+            ply.write_ply(result.points, file)
+        for name, text in texts.items():
+            staging.write_text(name, text)
+    return [folder / name for name in ("map.pgm", "map.png", "points.ply", *texts)]
+
+
+def _check(result: RunResult) -> None:
+    """A result that is not finite must never reach the disk: that is a fault of ours, not of the input."""
+    scans = len(result.stamps_ns)
+    if result.world_T_body.shape != (scans, 3):
+        raise ValueError(f"expected world_T_body of shape ({scans}, 3), got {result.world_T_body.shape}")
+    if not np.isfinite(result.world_T_body).all():
+        raise ValueError("the trajectory is not finite")

@@ -1,0 +1,75 @@
+"""Write aside, then rename: a file of a run is either whole and new, or as it was before."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Self
+
+from mfslam.types import MfslamError
+
+PART_SUFFIX = ".part"
+
+
+class Staging:
+    """Collects the files of one folder and puts them in place together, when the block ends well.
+
+    Every file is first written whole under a temporary name in the same folder. An exception inside the
+    block (a full disk, Ctrl-C) removes those and leaves the folder as it was.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._parts: dict[Path, Path] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    @contextmanager
+    def open(self, name: str) -> Iterator[IO[bytes]]:
+        """A binary file to write; it takes the place of ``name`` when the staging block ends."""
+        final = self.folder / name
+        part = final.with_name(f".{final.name}{PART_SUFFIX}")
+        self._parts[part] = final
+        try:
+            with part.open("wb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise cannot_write(final, error) from None
+
+    def write_text(self, name: str, text: str) -> None:
+        with self.open(name) as file:
+            file.write(text.encode("utf-8"))
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                for part, final in self._parts.items():
+                    part.replace(final)
+        except OSError as failure:
+            raise cannot_write(self.folder, failure) from None
+        finally:
+            for part in self._parts:
+                part.unlink(missing_ok=True)
+
+
+def cannot_write(path: Path, error: OSError) -> MfslamError:
+    """The one line for a write that failed: what, why, what to do."""
+    why = (error.strerror or str(error)).lower()
+    return MfslamError(f"{path}: cannot be written: {why}; free some space or choose another folder with -o")
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write one file whole or not at all.
+
+    Raises MfslamError when the disk or its permissions refuse.
+    """
+    with Staging(path.parent) as staging, staging.open(path.name) as file:
+        file.write(data)
