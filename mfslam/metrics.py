@@ -75,7 +75,9 @@ class RelationsError:
 
 
 def _stats_json(stats: ErrorStats) -> dict[str, float]:
-    return {name: getattr(stats, name) for name in ("mean", "std", "median", "p99", "max", "mean_squared", "rmse")}
+    return {
+        name: getattr(stats, name) for name in ("mean", "std", "median", "p99", "max", "mean_squared", "rmse")
+    }
 
 
 def read_relations(path: Path) -> Relations:
@@ -139,13 +141,17 @@ def relations_error(
     )
 
 
-def _nearest(stamps_ns: IntArray, wanted_ns: IntArray, tolerance_s: float) -> tuple[IntArray, np.ndarray[Any, np.dtype[np.bool_]]]:
+def _nearest(
+    stamps_ns: IntArray, wanted_ns: IntArray, tolerance_s: float
+) -> tuple[IntArray, np.ndarray[Any, np.dtype[np.bool_]]]:
     """Index of the pose nearest in time to each wanted stamp, and whether it is near enough."""
     if len(stamps_ns) == 0:
         return np.zeros(len(wanted_ns), dtype=np.int64), np.zeros(len(wanted_ns), dtype=np.bool_)
     order = np.argsort(stamps_ns, kind="stable")  # the log's order need not be the clock's
     ordered = stamps_ns[order]
-    right = np.clip(np.searchsorted(ordered, wanted_ns), 1, max(len(ordered) - 1, 1)).clip(max=len(ordered) - 1)
+    right = np.clip(np.searchsorted(ordered, wanted_ns), 1, max(len(ordered) - 1, 1)).clip(
+        max=len(ordered) - 1
+    )
     left = np.maximum(right - 1, 0)
     nearer_left = np.abs(ordered[left] - wanted_ns) <= np.abs(ordered[right] - wanted_ns)
     position = np.where(nearer_left, left, right)

@@ -62,7 +62,7 @@ def write_run(result: RunResult, config: Config, folder: Path) -> list[Path]:
         "keyframes.tum": tum.trajectory_text(keyframe_stamps_ns, world_T_keyframe),
         "graph.g2o": g2o.graph_text(world_T_keyframe, result.edges),
         "config.yaml": config_yaml,
-        "report.html": report.report_html(result, summary, config_yaml, png),
+        "report.html": report.report_html(result, summary, config_yaml),
         "summary.json": json_text(summary),
     }
     with Staging(folder) as staging:

@@ -36,15 +36,20 @@ def pgm_bytes(image: Uint8Array) -> bytes:
     return f"P5\n{cols} {rows}\n255\n".encode("ascii") + np.ascontiguousarray(image).tobytes()
 
 
-def png_bytes(image: Uint8Array) -> bytes:
-    """The same greys as a PNG; three colours pack into two bits a pixel."""
+def png_bytes(image: Uint8Array, clear_unknown: bool = False) -> bytes:
+    """The same greys as a PNG, two bits a pixel; ``clear_unknown`` leaves unknown transparent."""
     from PIL import Image
 
     greys = np.array([OCCUPIED_GREY, UNKNOWN_GREY, FREE_GREY], dtype=np.uint8)
-    picture = Image.fromarray(np.searchsorted(greys, image).astype(np.uint8))
+    index_of_grey = np.zeros(256, dtype=np.uint8)
+    index_of_grey[greys] = np.arange(3, dtype=np.uint8)
+    picture = Image.fromarray(index_of_grey[image])
     picture.putpalette(np.repeat(greys, 3).tobytes())
     out = io.BytesIO()
-    picture.save(out, format="PNG", bits=2)
+    if clear_unknown:
+        picture.save(out, format="PNG", bits=2, transparency=1)
+    else:
+        picture.save(out, format="PNG", bits=2)
     return out.getvalue()
 
 
@@ -112,8 +117,8 @@ def _read_image(yaml_path: Path, name: str) -> Uint8Array:
     try:
         with Image.open(path) as picture:
             return np.asarray(picture.convert("L"), dtype=np.uint8)
-    except UnidentifiedImageError:
-        raise MfslamError(f"{yaml_path}: image: {path} is no image that can be read") from None
+    except (UnidentifiedImageError, Image.DecompressionBombError) as error:
+        raise MfslamError(f"{yaml_path}: image: {path} is no image that can be read: {error}") from None
     except OSError as error:
         why = (error.strerror or str(error)).lower()
         raise MfslamError(f"{yaml_path}: image: {path} cannot be read: {why}") from None

@@ -36,9 +36,7 @@ def edge_residuals(world_T_keyframe: FloatArray, edges: list[Edge]) -> Residuals
     measured = np.array([edge.i_T_j for edge in edges], dtype=np.float64)
     information = np.array([edge.information for edge in edges], dtype=np.float64)
     unary = (i == j)[:, None]
-    estimate = np.where(
-        unary, world_T_keyframe[j], se2.between(world_T_keyframe[i], world_T_keyframe[j])
-    )
+    estimate = np.where(unary, world_T_keyframe[j], se2.between(world_T_keyframe[i], world_T_keyframe[j]))
     xi = se2.log(se2.between(measured, estimate))
     squared = np.einsum("ea,eab,eb->e", xi, information, xi)
     # a weak or missing direction (a heading factor says nothing of x and y) is no residual

@@ -66,7 +66,9 @@ def read_tum(path: Path) -> tuple[IntArray, FloatArray]:
         if not all(map(math.isfinite, (x, y, z, qx, qy, qz, qw))):
             raise MfslamError(f"{where}: expected finite numbers, got {line[:80]!r}")
         if abs(math.hypot(qx, qy, qz, qw) - 1.0) > 1e-3:
-            raise MfslamError(f"{where}: expected a unit quaternion, got length {math.hypot(qx, qy, qz, qw):.4g}")
+            raise MfslamError(
+                f"{where}: expected a unit quaternion, got length {math.hypot(qx, qy, qz, qw):.4g}"
+            )
         yaw = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
         stamps.append(stamp_ns)
         poses.append((x, y, yaw))

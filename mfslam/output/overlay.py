@@ -1,0 +1,108 @@
+"""The report's map: the grid as a picture, trajectory and edges over it as SVG, one unit a metre."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable
+
+import numpy as np
+
+from mfslam.output import maps
+from mfslam.output.summary import travelled_m
+from mfslam.types import BoolArray, Edge, FloatArray, OccupancyGrid, RunResult
+
+WEAK_SIGMA_M = 0.1  # a scan match that leaves more than this open in some direction is drawn as weak
+_MARGIN_M = 1.0
+_PATH_POINTS = 6000
+
+
+def map_svg(result: RunResult) -> str:
+    """Map, trajectory, keyframes, loops, rejected edges and weak stretches, each in its own group."""
+    keyframes = result.world_T_body[result.keyframes]
+    loops = [edge for edge in result.edges if edge.kind == "loop"]
+    rejected = [edge for edge in result.edges if edge.weight < 0.5 and edge.i != edge.j]
+    kept = [edge for edge in loops if edge.weight >= 0.5]
+    picture, box = _picture(result.grid, result.world_T_body)
+    layers = [
+        f'<g class="l-map">{picture}</g>',
+        f'<path class="l-weak" d="{_segments(keyframes, weak_edges(result.edges))}"/>',
+        f'<path class="l-loops" d="{_segments(keyframes, kept)}"/>',
+        f'<path class="l-rejected" d="{_segments(keyframes, rejected)}"/>',
+        f'<path class="l-path" d="{_polyline(result.world_T_body)}"/>',
+        f'<path class="l-keyframes" d="{_dots(keyframes)}"/>',
+        _ends(result.world_T_body),
+    ]
+    return (
+        f'<svg id="map" viewBox="{_box_text(box)}" preserveAspectRatio="xMidYMid meet" role="img" '
+        f'aria-label="map with trajectory">{"".join(layers)}</svg>'
+    )
+
+
+def weak_edges(edges: Iterable[Edge]) -> list[Edge]:
+    """Scan matches whose worst direction has a sigma above `WEAK_SIGMA_M`: there the wheels decided."""
+    scans = [edge for edge in edges if edge.kind == "scan"]
+    if not scans:
+        return []
+    information = np.array([edge.information for edge in scans], dtype=np.float64)
+    covariance = np.linalg.inv(information + 1e-6 * np.eye(3))
+    sigma_m = np.sqrt(np.linalg.eigvalsh(covariance[:, :2, :2])[:, 1].clip(min=0.0))
+    return [edge for edge, sigma in zip(scans, sigma_m.tolist(), strict=True) if sigma > WEAK_SIGMA_M]
+
+
+def _picture(grid: OccupancyGrid, world_T_body: FloatArray) -> tuple[str, FloatArray]:
+    """The known part of the grid as an image element, and the box (x0, y0, x1, y1) that shows it all."""
+    known: BoolArray = grid.occupancy >= 0
+    rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+    corners = [world_T_body[:, :2]] if len(world_T_body) else [np.zeros((1, 2))]
+    image = ""
+    if len(rows) and len(cols):
+        low = grid.origin_m + grid.resolution_m * np.array([cols[0], rows[0]])
+        high = grid.origin_m + grid.resolution_m * np.array([cols[-1] + 1, rows[-1] + 1])
+        corners += [low[None], high[None]]
+        known_part = grid.occupancy[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+        part = OccupancyGrid(low, grid.resolution_m, known_part)
+        png = base64.b64encode(maps.png_bytes(maps.grid_image(part), clear_unknown=True)).decode("ascii")
+        width, height = high - low
+        image = (
+            f'<image x="{low[0]:.3f}" y="{-high[1]:.3f}" width="{width:.3f}" height="{height:.3f}" '
+            f'preserveAspectRatio="none" href="data:image/png;base64,{png}"/>'
+        )
+    points = np.concatenate(corners)
+    return image, np.concatenate([points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M])
+
+
+def _box_text(box: FloatArray) -> str:
+    x0, y0, x1, y1 = box.tolist()
+    return f"{x0:.2f} {-y1:.2f} {x1 - x0:.2f} {y1 - y0:.2f}"
+
+
+def _polyline(world_T_body: FloatArray) -> str:
+    """The path, thinned evenly along its length: a standing robot adds nothing."""
+    if len(world_T_body) == 0:
+        return ""
+    steps = np.hypot(*np.diff(world_T_body[:, :2], axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    cell = np.floor(along / max(travelled_m(world_T_body) / _PATH_POINTS, 0.02))
+    keep = np.concatenate([[True], np.diff(cell) > 0])
+    keep[-1] = True
+    return "M" + "L".join(f"{x:.2f} {-y:.2f}" for x, y in world_T_body[keep, :2].tolist())
+
+
+def _segments(keyframes: FloatArray, edges: Iterable[Edge]) -> str:
+    xy = keyframes[:, :2].tolist()
+    return "".join(f"M{xy[e.i][0]:.2f} {-xy[e.i][1]:.2f}L{xy[e.j][0]:.2f} {-xy[e.j][1]:.2f}" for e in edges)
+
+
+def _dots(keyframes: FloatArray) -> str:
+    # a zero-length stroke with round caps is a dot of constant size at every zoom
+    return "".join(f"M{x:.2f} {-y:.2f}h0" for x, y in keyframes[:, :2].tolist())
+
+
+def _ends(world_T_body: FloatArray) -> str:
+    if len(world_T_body) == 0:
+        return ""
+    (x0, y0), (x1, y1) = world_T_body[0, :2].tolist(), world_T_body[-1, :2].tolist()
+    return (
+        f'<path class="l-path start" d="M{x0:.2f} {-y0:.2f}h0"><title>start</title></path>'
+        f'<path class="l-path end" d="M{x1:.2f} {-y1:.2f}h0"><title>end</title></path>'
+    )

@@ -1,0 +1,167 @@
+"""report.html: one file that opens offline in any browser and tells how a run went."""
+
+from __future__ import annotations
+
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from mfslam.output import charts
+from mfslam.output.overlay import WEAK_SIGMA_M, map_svg
+from mfslam.output.summary import KINDS, edge_residuals, forward_seconds
+from mfslam.output.tables import caption, section_tables, value_text
+from mfslam.types import FloatArray, RunResult
+
+_LAYERS = (
+    ("map", "map", "", True),
+    ("path", "trajectory", "c-scan", True),
+    ("keyframes", "keyframes", "c-scan", False),
+    ("loops", "loop closures", "c-loop", True),
+    ("rejected", "rejected edges", "c-rejected", True),
+    ("weak", "weak direction", "c-weak", True),
+)
+_SIGMAS_SHOWN = 6.0
+
+
+def report_html(result: RunResult, summary: dict[str, Any], config_yaml: str) -> str:
+    """The whole page. ``summary`` is what `mfslam.output.summarise` made of ``result``."""
+    style, script = (
+        files("mfslam.output").joinpath(f"report.{kind}").read_text("utf-8") for kind in ("css", "js")
+    )
+    title = _title(summary)
+    body = [
+        f"<header><h1>{escape(title)}</h1><p>{escape(_subtitle(summary))}</p></header>",
+        _tiles(summary),
+        _warnings(result, summary),
+        _map(result),
+        _plots(result, summary),
+        f'<h2>In numbers</h2><div class="grid3">{section_tables(summary)}</div>',
+        f'<details class="card"><summary>Effective configuration</summary><pre>{escape(config_yaml)}</pre></details>',
+    ]
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f"<title>{escape(title)} - mfslam</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n"
+        + "\n".join(body)
+        + f"\n</main>\n<script>\n{script}</script>\n</body>\n</html>\n"
+    )
+
+
+def _title(summary: dict[str, Any]) -> str:
+    log = summary.get("log")
+    path = log.get("path", log.get("name")) if isinstance(log, dict) else log
+    return str(path).replace("\\", "/").rsplit("/", 1)[-1] if path else "mfslam run"
+
+
+def _subtitle(summary: dict[str, Any]) -> str:
+    log = summary.get("log")
+    kind = f"{log['format']} log, " if isinstance(log, dict) and "format" in log else ""
+    return f"{kind}mapped by mfslam; every beam drawn from the robot's pose at its own instant"
+
+
+def _tiles(summary: dict[str, Any]) -> str:
+    counts, distances, grid = summary["counts"], summary["distances"], summary["map"]
+    tiles = [
+        ("distance_travelled", value_text("travelled_m", distances["travelled_m"])),
+        ("length_of_log", value_text("log_duration_s", distances["log_duration_s"])),
+        ("scans", value_text("scans", counts["scans"])),
+        ("keyframes", value_text("keyframes", counts["keyframes"])),
+        ("loop_closures", value_text("count", summary["edges"].get("loop", {}).get("count", 0))),
+        ("map", f"{grid['width_m']:.0f} × {grid['height_m']:.0f} m"),
+    ]
+    if isinstance(summary.get("real_time_factor"), (int, float)):
+        tiles.append(("times_real_time", f"{summary['real_time_factor']:.3g} ×"))
+    cells = "".join(
+        f'<div class="tile"><b>{escape(v)}</b><span>{escape(caption(k))}</span></div>' for k, v in tiles
+    )
+    return f'<div class="tiles">{cells}</div>'
+
+
+def _warnings(result: RunResult, summary: dict[str, Any]) -> str:
+    lines = result.findings.lines()
+    if summary.get("interrupted"):
+        lines.insert(0, "The run was interrupted: this is the part of the log mapped until then.")
+    if not lines:
+        return '<h2>Warnings</h2><p class="clean">None: nothing in this log looked odd.</p>'
+    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+    return f'<h2>Warnings</h2><ul class="warnings">{items}</ul>'
+
+
+def _map(result: RunResult) -> str:
+    boxes = "".join(
+        f'<label><input type="checkbox" value="{key}"{" checked" if on else ""}>'
+        + (f'<i class="{css}"></i>' if css else " ")
+        + f"{name}</label>"
+        for key, name, css, on in _LAYERS
+    )
+    return (
+        f'<h2>Map</h2><div class="card map"><div class="bar">{boxes}<button id="whole">whole map</button>'
+        f'<span id="where">wheel zooms, drag moves</span></div>{map_svg(result)}</div>'
+        '<p class="none">Green dot: start, red dot: end. Weak direction: scan matching left more than '
+        f"{WEAK_SIGMA_M:g} m (one sigma) open in one direction, so the wheels decided there.</p>"
+    )
+
+
+def _plots(result: RunResult, summary: dict[str, Any]) -> str:
+    seconds = forward_seconds(result.stamps_ns)
+    unit, scale = ("min", 60.0) if len(seconds) and seconds[-1] > 300 else ("s", 1.0)
+    keyframe_time = seconds[result.keyframes] / scale
+    residuals = edge_residuals(result.world_T_body[result.keyframes], result.edges)
+    kinds = np.array([edge.kind for edge in result.edges])
+    over_time, histogram = [], []
+    for kind in KINDS[:-1]:
+        of_kind = np.flatnonzero(kinds == kind) if len(kinds) else np.zeros(0, dtype=np.int64)
+        if not len(of_kind):
+            continue
+        when = keyframe_time[[result.edges[e].j for e in of_kind]]
+        if kind != "heading":
+            x, low, middle, high = charts.binned(when, 100.0 * residuals.translation_m[of_kind])
+            over_time.append(charts.Series(kind, f"c-{kind}", x, middle, low, high))
+        histogram.append(_histogram(kind, residuals.sigmas[of_kind]))
+    if histogram:
+        histogram.append(_expected())
+    x, low, middle, high = charts.binned(*_speed(result.world_T_body, seconds, scale))
+    speed = charts.Series("speed", "c-scan", x, middle, low, high)
+    timings = summary.get("timings_s")
+    stages = [(caption(k), float(v)) for k, v in timings.items()] if isinstance(timings, dict) else []
+    cards = [
+        ("Speed", "Of the optimised trajectory over windows of a second.",
+         charts.line_chart([speed], f"time ({unit})", "m/s")),
+        ("Time per stage", "CPU seconds of this run.", charts.bar_chart(stages, "s")),
+        ("What the edges leave open over time", "Distance between an edge and the final trajectory: median, and 5 to 95 %.",
+         charts.line_chart(over_time, f"time ({unit})", "residual (cm)")),
+        ("Residuals against their own noise", "Share of edges per sigma; honest covariances follow the dashed curve.",
+         charts.line_chart(histogram, "residual (sigmas)", "share per sigma", _SIGMAS_SHOWN)),
+    ]  # fmt: skip
+    html = "".join(
+        f'<div class="card"><h3>{title}</h3><p class="note">{note}</p>{chart}</div>'
+        for title, note, chart in cards
+    )
+    return f'<h2>How it went</h2><div class="grid2">{html}</div>'
+
+
+def _histogram(kind: str, sigmas: FloatArray, bins: int = 48) -> charts.Series:
+    width = _SIGMAS_SHOWN / bins
+    count, _ = np.histogram(np.minimum(sigmas, _SIGMAS_SHOWN - 0.5 * width), bins, (0.0, _SIGMAS_SHOWN))
+    share = np.asarray(count / (len(sigmas) * width), dtype=np.float64)
+    return charts.Series(kind, f"c-{kind}", (np.arange(bins) + 0.5) * width, share)
+
+
+def _expected() -> charts.Series:
+    """Chi density with three degrees of freedom."""
+    x = np.linspace(0.0, _SIGMAS_SHOWN, 100)
+    y = np.sqrt(2.0 / np.pi) * x**2 * np.exp(-0.5 * x**2)
+    return charts.Series("expected of three free directions", "c-expected", x, y, dashed=True)
+
+
+def _speed(world_T_body: FloatArray, seconds: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
+    """Speed over windows of at least a second: stamps of single scans may come in bursts."""
+    if len(seconds) < 2 or seconds[-1] <= 0:
+        return np.zeros(0), np.zeros(0)
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(world_T_body[:, :2], axis=0).T))])
+    edges = np.linspace(0.0, seconds[-1], max(2, int(seconds[-1]) + 1))
+    distance = np.interp(edges, seconds, along)
+    return (edges[:-1] + 0.5 * np.diff(edges)) / scale, np.diff(distance) / np.diff(edges)
