@@ -69,7 +69,7 @@ def _tiles(summary: dict[str, Any]) -> str:
         ("length_of_log", value_text("log_duration_s", distances["log_duration_s"])),
         ("scans", value_text("scans", counts["scans"])),
         ("keyframes", value_text("keyframes", counts["keyframes"])),
-        ("loop_closures", value_text("count", summary["edges"].get("loop", {}).get("count", 0))),
+        ("loop_closures", value_text("count", _loops_kept(summary))),
         ("map", f"{grid['width_m']:.0f} × {grid['height_m']:.0f} m"),
     ]
     if isinstance(summary.get("real_time_factor"), (int, float)):
@@ -78,6 +78,11 @@ def _tiles(summary: dict[str, Any]) -> str:
         f'<div class="tile"><b>{escape(v)}</b><span>{escape(caption(k))}</span></div>' for k, v in tiles
     )
     return f'<div class="tiles">{cells}</div>'
+
+
+def _loops_kept(summary: dict[str, Any]) -> int:
+    loops = summary["edges"].get("loop", {"count": 0, "rejected": 0})
+    return int(loops["count"] - loops["rejected"])
 
 
 def _warnings(result: RunResult, summary: dict[str, Any]) -> str:
@@ -118,7 +123,7 @@ def _plots(result: RunResult, summary: dict[str, Any]) -> str:
             continue
         when = keyframe_time[[result.edges[e].j for e in of_kind]]
         if kind != "heading":
-            x, low, middle, high = charts.binned(when, 100.0 * residuals.translation_m[of_kind])
+            x, low, middle, high = charts.binned(when, 100.0 * residuals.translation_m[of_kind], 80)
             over_time.append(charts.Series(kind, f"c-{kind}", x, middle, low, high))
         histogram.append(_histogram(kind, residuals.sigmas[of_kind]))
     if histogram:
@@ -143,11 +148,12 @@ def _plots(result: RunResult, summary: dict[str, Any]) -> str:
     return f'<h2>How it went</h2><div class="grid2">{html}</div>'
 
 
-def _histogram(kind: str, sigmas: FloatArray, bins: int = 48) -> charts.Series:
+def _histogram(kind: str, sigmas: FloatArray) -> charts.Series:
+    bins = int(np.clip(np.sqrt(len(sigmas)), 6, 48))
     width = _SIGMAS_SHOWN / bins
     count, _ = np.histogram(np.minimum(sigmas, _SIGMAS_SHOWN - 0.5 * width), bins, (0.0, _SIGMAS_SHOWN))
-    share = np.asarray(count / (len(sigmas) * width), dtype=np.float64)
-    return charts.Series(kind, f"c-{kind}", (np.arange(bins) + 0.5) * width, share)
+    centre, share = (np.arange(bins) + 0.5) * width, count / (len(sigmas) * width)
+    return charts.Series(kind, f"c-{kind}", centre, share.astype(np.float64))
 
 
 def _expected() -> charts.Series:

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from mfslam import se2
+from mfslam.metrics import crispness
 from mfslam.types import Edge, EdgeKind, FloatArray, IntArray, RunResult
 
 KINDS: tuple[EdgeKind, ...] = ("scan", "loop", "odometry", "heading", "prior")
+CRISPNESS_CELL_M = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +88,8 @@ def summarise(result: RunResult) -> dict[str, Any]:
             "occupied_cells": int(np.count_nonzero(grid.occupancy >= 65)),
         },
         "edges": _per_kind(keyframes, result.edges),
+        "crispness": {"cell_m": CRISPNESS_CELL_M}
+        | crispness(result.points.points_m, CRISPNESS_CELL_M).as_json(),
     }
     for section, values in result.summary.items():
         known = own.get(section)
