@@ -6,13 +6,10 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-import numpy as np
-
-from mfslam.output import charts
 from mfslam.output.overlay import WEAK_SIGMA_M, map_svg
-from mfslam.output.summary import KINDS, edge_residuals, forward_seconds
+from mfslam.output.plots import plot_cards
 from mfslam.output.tables import caption, section_tables, value_text
-from mfslam.types import FloatArray, RunResult
+from mfslam.types import RunResult
 
 _LAYERS = (
     ("map", "map", "", True),
@@ -22,7 +19,6 @@ _LAYERS = (
     ("rejected", "rejected edges", "c-rejected", True),
     ("weak", "weak direction", "c-weak", True),
 )
-_SIGMAS_SHOWN = 6.0
 
 
 def report_html(result: RunResult, summary: dict[str, Any], config_yaml: str) -> str:
@@ -36,7 +32,7 @@ def report_html(result: RunResult, summary: dict[str, Any], config_yaml: str) ->
         _tiles(summary),
         _warnings(result, summary),
         _map(result),
-        _plots(result, summary),
+        f'<h2>How it went</h2><div class="grid2">{plot_cards(result, summary)}</div>',
         f'<h2>In numbers</h2><div class="grid3">{section_tables(summary)}</div>',
         f'<details class="card"><summary>Effective configuration</summary><pre>{escape(config_yaml)}</pre></details>',
     ]
@@ -108,66 +104,3 @@ def _map(result: RunResult) -> str:
         '<p class="none">Green dot: start, red dot: end. Weak direction: scan matching left more than '
         f"{WEAK_SIGMA_M:g} m (one sigma) open in one direction, so the wheels decided there.</p>"
     )
-
-
-def _plots(result: RunResult, summary: dict[str, Any]) -> str:
-    seconds = forward_seconds(result.stamps_ns)
-    unit, scale = ("min", 60.0) if len(seconds) and seconds[-1] > 300 else ("s", 1.0)
-    keyframe_time = seconds[result.keyframes] / scale
-    residuals = edge_residuals(result.world_T_body[result.keyframes], result.edges)
-    kinds = np.array([edge.kind for edge in result.edges])
-    over_time, histogram = [], []
-    for kind in KINDS[:-1]:
-        of_kind = np.flatnonzero(kinds == kind) if len(kinds) else np.zeros(0, dtype=np.int64)
-        if not len(of_kind):
-            continue
-        when = keyframe_time[[result.edges[e].j for e in of_kind]]
-        if kind != "heading":
-            x, low, middle, high = charts.binned(when, 100.0 * residuals.translation_m[of_kind], 80)
-            over_time.append(charts.Series(kind, f"c-{kind}", x, middle, low, high))
-        histogram.append(_histogram(kind, residuals.sigmas[of_kind]))
-    if histogram:
-        histogram.append(_expected())
-    x, low, middle, high = charts.binned(*_speed(result.world_T_body, seconds, scale))
-    speed = charts.Series("speed", "c-scan", x, middle, low, high)
-    timings = summary.get("timings_s")
-    stages = [(caption(k), float(v)) for k, v in timings.items()] if isinstance(timings, dict) else []
-    cards = [
-        ("Speed", "Of the optimised trajectory over windows of a second.",
-         charts.line_chart([speed], f"time ({unit})", "m/s")),
-        ("Time per stage", "CPU seconds of this run.", charts.bar_chart(stages, "s")),
-        ("What the edges leave open over time", "Distance between an edge and the final trajectory: median, and 5 to 95 %.",
-         charts.line_chart(over_time, f"time ({unit})", "residual (cm)")),
-        ("Residuals against their own noise", "Share of edges per sigma; honest covariances follow the dashed curve.",
-         charts.line_chart(histogram, "residual (sigmas)", "share per sigma", _SIGMAS_SHOWN)),
-    ]  # fmt: skip
-    html = "".join(
-        f'<div class="card"><h3>{title}</h3><p class="note">{note}</p>{chart}</div>'
-        for title, note, chart in cards
-    )
-    return f'<h2>How it went</h2><div class="grid2">{html}</div>'
-
-
-def _histogram(kind: str, sigmas: FloatArray) -> charts.Series:
-    bins = int(np.clip(np.sqrt(len(sigmas)), 6, 48))
-    width = _SIGMAS_SHOWN / bins
-    count, _ = np.histogram(np.minimum(sigmas, _SIGMAS_SHOWN - 0.5 * width), bins, (0.0, _SIGMAS_SHOWN))
-    centre, share = (np.arange(bins) + 0.5) * width, count / (len(sigmas) * width)
-    return charts.Series(kind, f"c-{kind}", centre, share.astype(np.float64))
-
-
-def _expected() -> charts.Series:
-    """Chi density with three degrees of freedom."""
-    x = np.linspace(0.0, _SIGMAS_SHOWN, 100)
-    y = np.sqrt(2.0 / np.pi) * x**2 * np.exp(-0.5 * x**2)
-    return charts.Series("expected of three free directions", "c-expected", x, y, dashed=True)
-
-
-def _speed(world_T_body: FloatArray, seconds: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
-    """Speed over windows of at least a second: stamps of single scans may come in bursts."""
-    if len(seconds) < 2 or seconds[-1] <= 0:
-        return np.zeros(0), np.zeros(0)
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(world_T_body[:, :2], axis=0).T))])
-    edges = np.linspace(0.0, seconds[-1], max(2, int(seconds[-1]) + 1))
-    distance = np.interp(edges, seconds, along)
-    return (edges[:-1] + 0.5 * np.diff(edges)) / scale, np.diff(distance) / np.diff(edges)
