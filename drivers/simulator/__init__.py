@@ -1,0 +1,32 @@
+"""An exact simulator: worlds of walls, doors, pillars, glass and people; a robot that drives through them;
+encoders, gyro and laser with their faults; and the truth at every instant.
+
+The motion is a chain of constant twists, so the pose is known in closed form at any time, and every beam
+is cast from the pose at its own instant (no scan is a snapshot here either).
+"""
+
+from drivers.simulator.demo import demo_simulation
+from drivers.simulator.motion import Motion
+from drivers.simulator.offices import random_office
+from drivers.simulator.robot import RobotModel, drive
+from drivers.simulator.sensors import LaserModel, laser_model, laser_model_names
+from drivers.simulator.simulate import Faults, Simulation, simulate
+from drivers.simulator.world import World, load_world, parse_world, world_names
+
+__all__ = [
+    "Faults",
+    "LaserModel",
+    "Motion",
+    "RobotModel",
+    "Simulation",
+    "World",
+    "demo_simulation",
+    "drive",
+    "laser_model",
+    "laser_model_names",
+    "load_world",
+    "parse_world",
+    "random_office",
+    "simulate",
+    "world_names",
+]
