@@ -36,7 +36,7 @@ def register(
     estimate but is not part of the information returned.
     """
     sigma = np.sqrt(2.0) * range_sigma_m  # both ends of a residual are measured
-    pose, hessian, paired, rms_m, iterations, converged = align.point_to_line(
+    pose, hessian, inlier_ratio, rms_m, iterations, converged = align.point_to_line(
         reference,
         CELL_M,
         points_m,
@@ -55,7 +55,7 @@ def register(
     return Match(
         ref_T_src=pose,
         information=with_floor(scale * hessian, config.sigma_floor_m, np.deg2rad(config.sigma_floor_deg)),
-        inlier_ratio=paired / max(1, points_m.shape[0]),
+        inlier_ratio=inlier_ratio,
         rms_m=rms_m,
         iterations=iterations,
         converged=converged,

@@ -184,7 +184,7 @@ class Match:
 
     ``information`` (3, 3): inverse covariance of ``ref_T_src`` in the tangent at ``ref_T_src`` (right
     perturbation, order x, y, theta as in gtsam.Pose2). Directions that the scan does not constrain have
-    next to none. ``inlier_ratio``: share of source points that found a partner. ``rms_m``: root mean
+    next to none. ``inlier_ratio``: share of source points that found their partner, robustly weighted. ``rms_m``: root mean
     square of the inliers' residuals.
     """
 

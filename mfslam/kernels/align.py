@@ -73,21 +73,22 @@ def point_to_line(
     radius_start: float,
     radius_end: float,
     max_iterations: int,
-) -> tuple[FloatArray, FloatArray, int, float, int, bool]:
+) -> tuple[FloatArray, FloatArray, float, float, int, bool]:
     """Robust point-to-line registration from ``guess``, with a Gaussian ``prior`` on the pose.
 
     Minimises sum rho(n . (T p - q)) / sigma^2 + \\|log(prior^-1 T)\\|^2 by Gauss-Newton on the right
     perturbation of ref_T_src; rho is Geman-McClure of scale ``kernel_sigmas`` sigma. The search radius
     and the scale of the kernel shrink while it converges.
-    Returns ref_T_src, the information of the data alone (3, 3), the number of partnered points, the
-    root mean square of their residuals, iterations and whether it converged.
+    Returns ref_T_src, the information of the data alone (3, 3), the share of points that found
+    their partner (robust weights; pairs without any normal are left out), the root mean square of their residuals, iterations and whether it converged.
     """
     m = points.shape[0]
     rows = table[3]
     pose = guess.copy()
     h = np.zeros((3, 3))
     a = np.zeros((3, 3))
-    paired = 0
+    weight_sum = 0.0
+    mute = 0
     rms = 0.0
     converged = False
     iteration = 0
@@ -102,9 +103,9 @@ def point_to_line(
         k2 = scale * scale
         h[:] = 0.0
         b0 = b1 = b2 = 0.0
-        paired = 0
         sum_r2 = 0.0
         weight_sum = 0.0
+        mute = 0
         for i in range(m):
             px, py = points[i, 0], points[i, 1]
             x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
@@ -113,11 +114,11 @@ def point_to_line(
             q, _ = _nearest(table, cell, x, y, wnx, wny, radius, min_cos)
             if q < 0:
                 continue
-            paired += 1
             nx, ny = rows[q, 2], rows[q, 3]
             if nx == 0.0 and ny == 0.0:
                 nx, ny = wnx, wny
                 if nx == 0.0 and ny == 0.0:
+                    mute += 1
                     continue
             r = nx * (x - rows[q, 0]) + ny * (y - rows[q, 1])
             w = k2 / (k2 + r * r)
@@ -162,4 +163,4 @@ def point_to_line(
         if small or iteration >= 2:
             radius = max(radius_end, 0.6 * radius)
     pose[2] = wrap_angle(pose[2])
-    return pose, h, paired, rms, iteration, converged
+    return pose, h, weight_sum / max(1, m - mute), rms, iteration, converged
