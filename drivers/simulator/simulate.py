@@ -193,7 +193,9 @@ def _wheel_messages(
     times = _seconds(stamps, start_ns)
     angles = wheel_angles(motion, robot, times, rng)
     ticks = encoder_ticks(angles, robot.wheels)
-    told = np.isin(stamps, own if robot.encoder_rate_hz is not None else scan_stamps)
+    told = np.isin(stamps, scan_stamps if robot.encoder_rate_hz is None else own)
+    if robot.odometry == "pose":  # what a scan carries itself, the stream must not lack
+        told |= np.isin(stamps, scan_stamps)
     told &= _outside(times, faults.odometry_gaps_s)
     if robot.odometry == "ticks":
         return [WheelTicks(t, int(a), int(b)) for t, (a, b) in _pick(stamps, ticks, told)], None
