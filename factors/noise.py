@@ -27,6 +27,8 @@ def noise_from_information(information: FloatArray) -> gtsam.noiseModel.Gaussian
         raise ValueError(f"information matrix is not positive semidefinite: eigenvalues {values}")
     floored = np.maximum(values, max(ABSOLUTE_FLOOR, RELATIVE_FLOOR * top))
     upper = np.linalg.qr((vectors * np.sqrt(floored)).T, mode="r")
+    # rows may be negated at will; gtsam wants sigmas, hence a diagonal, that are positive
+    upper *= np.where(np.diag(upper) < 0.0, -1.0, 1.0)[:, None]
     return gtsam.noiseModel.Gaussian.SqrtInformation(upper)
 
 

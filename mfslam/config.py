@@ -152,6 +152,43 @@ class FrontendConfig(_Stage):
     search_angle_deg: float = Field(100.0, gt=0, description="Half window of the recovery search, deg.")
 
 
+class LoopsConfig(_Stage):
+    """Loop closure: where it is sought, and what is demanded of it before it is believed."""
+
+    use: bool = Field(True, description="Close loops.")
+    every_m: float = Field(1.0, gt=0, description="A search at least every so far driven, m.")
+    min_travel_m: float = Field(8.0, gt=0, description="Places left less than this ago are no loop, m driven.")
+    segment_m: float = Field(6.0, gt=0, description="Path whose scans are merged into one place, m.")
+    reach_m: float = Field(6.0, gt=0, description="Places farther than this plus the uncertainty are not tried, m.")
+    window_sigmas: float = Field(3.0, gt=0, description="Half window of the search, in sigmas of the prediction.")
+    min_window_m: float = Field(0.5, gt=0, description="Half window at least, m.")
+    max_window_m: float = Field(20.0, gt=0, description="Half window at most, m.")
+    max_places: int = Field(8, ge=1, description="Places tried in one search.")
+    min_score: float = Field(0.45, gt=0, lt=1, description="Correlative score below which there is no candidate.")
+    min_inlier_ratio: float = Field(0.7, gt=0, lt=1, description="Share of matched points that a loop needs.")
+    min_agreement: float = Field(
+        0.9, gt=0, lt=1, description="Share of commonly seen points that must not lie in the other's free space."
+    )
+    min_coverage: float = Field(0.4, gt=0, lt=1, description="Share of a place that the other must have seen.")
+    ambiguous_score: float = Field(
+        0.93, gt=0, le=1, description="A runner-up elsewhere in the window with this share of the best score makes it ambiguous."
+    )
+    lone_window_m: float = Field(1.0, gt=0, description="In wider windows several loops must agree, m.")
+    partners: int = Field(2, ge=0, description="Loops that must agree with a new one from a wide window.")
+
+
+class GraphConfig(_Stage):
+    """The pose graph and its solvers."""
+
+    loop_kernel_sigmas: float = Field(3.0, gt=0, description="Scale of the Cauchy kernel on loops online, sigmas.")
+    loop_inlier_probability: float = Field(
+        0.999, gt=0, lt=1, description="Loops whose chi2 is above this quantile are outliers in the final solve."
+    )
+    gate_probability: float = Field(
+        0.999, gt=0, lt=1, description="A loop must lie inside this quantile of the joint marginal."
+    )
+
+
 class MapConfig(_Stage):
     """The occupancy grid made of every beam of every scan."""
 
@@ -175,6 +212,8 @@ class Config(_Stage):
     deskew: DeskewConfig = DeskewConfig()
     icp: IcpConfig = IcpConfig()
     frontend: FrontendConfig = FrontendConfig()
+    loops: LoopsConfig = LoopsConfig()
+    graph: GraphConfig = GraphConfig()
     map: MapConfig = MapConfig()
 
 

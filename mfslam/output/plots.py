@@ -90,7 +90,8 @@ def _histograms(edges: list[Edge], residuals: Residuals) -> list[Series]:
         width = _SIGMAS_SHOWN / bins
         shown = np.minimum(sigmas, _SIGMAS_SHOWN - 0.5 * width)  # all beyond stand in the last bin
         count, _ = np.histogram(shown, bins, (0.0, _SIGMAS_SHOWN))
-        out.append(Series(kind, f"c-{kind}", (np.arange(bins) + 0.5) * width, count / (len(sigmas) * width)))
+        density = count.astype(np.float64) / (len(sigmas) * width)
+        out.append(Series(kind, f"c-{kind}", ((np.arange(bins) + 0.5) * width).astype(np.float64), density))
     if out:
         x = np.linspace(0.0, _SIGMAS_SHOWN, 100, dtype=np.float64)
         chi = math.sqrt(2.0 / math.pi) * x**2 * np.exp(-0.5 * x**2)

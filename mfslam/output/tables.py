@@ -20,14 +20,14 @@ def caption(key: str) -> str:
     return name.replace("_", " ").replace("-", " ")
 
 
-def value_text(key: str, value: Any) -> str:
+def value_text(key: str, value: Any, show_unit: bool = True) -> str:
     """A value as a person reads it, with the unit that its key names."""
     unit = _split(key)[1]
     if value is None:
         return "-"
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if unit == "s" and isinstance(value, (int, float)) and value >= 120:
+    if unit == "s" and show_unit and isinstance(value, (int, float)) and value >= 120:
         minutes, seconds = divmod(round(value), 60)
         hours, minutes = divmod(minutes, 60)
         return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {seconds:02d} s"
@@ -39,7 +39,7 @@ def value_text(key: str, value: Any) -> str:
         return ", ".join(value_text(key, item) for item in value)
     else:
         text = str(value)
-    return f"{text} {unit}".replace(" °", "°") if unit else text
+    return f"{text} {unit}".replace(" °", "°") if unit and show_unit else text
 
 
 def section_tables(summary: Mapping[str, Any]) -> str:
@@ -47,7 +47,8 @@ def section_tables(summary: Mapping[str, Any]) -> str:
     single = {key: value for key, value in summary.items() if not _is_section(value)}
     sections = {key: value for key, value in summary.items() if _is_section(value)}
     cards = [_card("run", single)] if any(key not in _ELSEWHERE for key in single) else []
-    cards += [_card(key, value) for key, value in sections.items() if key not in _ELSEWHERE and value]
+    shown = [item for item in sections.items() if item[0] not in _ELSEWHERE and item[1]]
+    cards += [_card(*item) for item in sorted(shown, key=lambda item: _is_matrix(item[1]))]  # wide ones last
     return "".join(cards)
 
 
@@ -98,7 +99,9 @@ def _matrix(section: Any) -> str:
     head = "".join(f"<th>{escape(_heading(column))}</th>" for column in columns)
     body = "".join(
         f"<tr><th>{escape(caption(name))}</th>"
-        + "".join(f"<td>{escape(value_text(column, row.get(column)))}</td>" for column in columns)
+        + "".join(
+            f"<td>{escape(value_text(column, row.get(column), show_unit=False))}</td>" for column in columns
+        )
         + "</tr>"
         for name, row in rows[:_ROWS_SHOWN]
     )

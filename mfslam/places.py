@@ -1,0 +1,83 @@
+"""Places: the merged scans of a stretch of path, ready to be searched, matched and contradicted."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from mfslam import icp
+from mfslam.frontend import Keyframe
+from mfslam.kernels import cells, evidence, poses
+from mfslam.kernels.cells import CellTable
+from mfslam.search import SearchMap
+from mfslam.types import FloatArray
+
+CELL_M = 0.1
+REACH_M = 15.0
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Scans of some keyframes in the frame of one of them (the anchor).
+
+    ``surface`` (M, 4): averaged points with normals within reach. ``table``: the same, searchable.
+    ``evidence``: states of the cells whose lower-left corner is ``corner_m``.
+    """
+
+    anchor: int
+    surface: FloatArray
+    table: CellTable
+    evidence: npt.NDArray[np.uint8]
+    corner_m: FloatArray
+
+    @classmethod
+    def of(cls, keyframes: list[Keyframe], members: range, anchor: int) -> Place:
+        origin = keyframes[anchor].local_T_body
+        counts = [keyframes[k].cloud.points_m.shape[0] for k in members]
+        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        oriented = np.empty((int(first[-1]), 4))
+        eyes = np.empty((len(members), 2))
+        for n, k in enumerate(members):
+            anchor_T_body = poses.between(origin, keyframes[k].local_T_body)
+            cloud = keyframes[k].cloud
+            poses.transform_points(anchor_T_body, cloud.points_m, cloud.normals, oriented[first[n] : first[n + 1]])
+            eyes[n] = anchor_T_body[:2]
+        corner = np.full(2, -REACH_M)
+        size = int(2 * REACH_M / CELL_M)
+        grid = evidence.evidence_grid(eyes, first, np.ascontiguousarray(oriented[:, :2]), corner, size, size, CELL_M)
+        near = np.abs(oriented[:, :2]).max(axis=1) < REACH_M if len(oriented) else np.zeros(0, bool)
+        raw = icp.reference_table(oriented[near])
+        surface = cells.smooth_surface(raw, icp.CELL_M, 0.1, 0.06)
+        return cls(anchor, surface, icp.reference_table(surface), grid, corner)
+
+    def search_map(self) -> SearchMap:
+        return SearchMap.of(self.surface[:, :2], np.zeros(2), REACH_M, CELL_M)
+
+    def agreement(self, place_T_points: FloatArray, surface: FloatArray) -> tuple[float, float]:
+        """Share of the commonly seen points that are not contradicted, and share commonly seen."""
+        points = np.ascontiguousarray(surface[:, :2])
+        agree, contradict, count = evidence.agreement(self.evidence, self.corner_m, CELL_M, place_T_points, points)
+        seen = agree + contradict
+        return agree / max(1, seen), seen / max(1, count)
+
+
+class PlaceMemory:
+    """Places along the path, every half segment one, made when first asked for; the latest used stay."""
+
+    def __init__(self, keyframes: list[Keyframe], capacity: int = 80) -> None:
+        self._keyframes = keyframes
+        self._capacity = capacity
+        self._made: OrderedDict[tuple[int, int], tuple[Place, SearchMap]] = OrderedDict()
+
+    def at(self, members: range, anchor: int) -> tuple[Place, SearchMap]:
+        key = (members.start, members.stop)
+        if key not in self._made:
+            place = Place.of(self._keyframes, members, anchor)
+            self._made[key] = (place, place.search_map())
+            if len(self._made) > self._capacity:
+                self._made.popitem(last=False)
+        self._made.move_to_end(key)
+        return self._made[key]
