@@ -8,12 +8,33 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-from mfslam.types import Findings, Message
+from mfslam.types import Findings, Message, MfslamError
+
+
+class NoScans(MfslamError):
+    """The log was read, or looked through, and holds no laser scan that can be used."""
+
+
+@dataclass(frozen=True)
+class TopicChoice:
+    """Names that settle which of several sources is read. None: found by type.
+
+    A name is a ROS topic, or the message's word in a text log (``RLASER``).
+    """
+
+    scan: str | None = None
+    odometry: str | None = None
+    imu: str | None = None
+    wheels: str | None = None
 
 
 @dataclass
 class LogInfo:
-    """What a log says of itself, known after it was opened (details) or read (findings)."""
+    """What a log says of itself, known after it was opened.
+
+    ``details`` of every driver: ``messages`` (count per message name or topic), ``scan_source`` (the name
+    of the one that is read), ``odometry`` ("moving", "present", "constant", "none").
+    """
 
     path: Path
     format: str
