@@ -49,26 +49,20 @@ def graph_text(world_T_keyframe: FloatArray, edges: list[Edge]) -> str:
     Information is written as the final solve used it, scaled by each edge's weight, so that another
     optimiser finds the same map; edges that the solve rejected (weight 0) stay as comments.
     """
-    out = [
-        f"VERTEX_SE2 {key} {_numbers(pose)}" for key, pose in enumerate(np.asarray(world_T_keyframe).tolist())
-    ]
-    if len(out) and not any(edge.kind == "prior" and edge.weight > 0 for edge in edges):
+    poses = np.asarray(world_T_keyframe).tolist()
+    used = [edge for edge in edges if edge.weight > 0]
+    out = [f"VERTEX_SE2 {key} {_numbers(pose)}" for key, pose in enumerate(poses)]
+    out += [_edge_line(edge, edge.weight * edge.information) for edge in used]
+    # these come last: gtsam's reader loses the edges that follow a FIX or a comment
+    if poses and not any(edge.kind == "prior" for edge in used):
         out.append("FIX 0")
-    kind = None
-    for edge in edges:
-        if edge.kind != kind:
-            kind = edge.kind
-            out.append(f"# {kind}")
-        out.append(_edge_line(edge))
+    out += [f"# rejected: {_edge_line(edge, edge.information)}" for edge in edges if edge.weight <= 0]
     return "\n".join(out) + "\n"
 
 
-def _edge_line(edge: Edge) -> str:
-    rejected = edge.weight <= 0.0
-    information = edge.information if rejected else edge.weight * edge.information
+def _edge_line(edge: Edge, information: FloatArray) -> str:
     head = f"EDGE_PRIOR_SE2 {edge.i}" if edge.i == edge.j else f"EDGE_SE2 {edge.i} {edge.j}"
-    line = f"{head} {_numbers(edge.i_T_j.tolist())} {_numbers(information[_UPPER].tolist())}"
-    return f"# rejected: {line}" if rejected else line
+    return f"{head} {_numbers(edge.i_T_j.tolist())} {_numbers(information[_UPPER].tolist())}"
 
 
 def _numbers(values: list[float]) -> str:

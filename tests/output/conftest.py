@@ -27,7 +27,9 @@ def make_grid(resolution_m: float = 0.1) -> OccupancyGrid:
     cols, rows = int(31.0 / resolution_m), int(23.0 / resolution_m)
     x = origin[0] + (np.arange(cols) + 0.5) * resolution_m
     y = origin[1] + (np.arange(rows) + 0.5) * resolution_m
-    outer = np.maximum(np.abs(x - WIDTH_M / 2)[None] - WIDTH_M / 2, np.abs(y - HEIGHT_M / 2)[:, None] - HEIGHT_M / 2)
+    outer = np.maximum(
+        np.abs(x - WIDTH_M / 2)[None] - WIDTH_M / 2, np.abs(y - HEIGHT_M / 2)[:, None] - HEIGHT_M / 2
+    )
     occupancy = np.full((rows, cols), -1, dtype=np.int8)
     occupancy[np.abs(outer) < HALF_CORRIDOR_M] = 0
     occupancy[np.abs(np.abs(outer) - HALF_CORRIDOR_M) <= 0.5 * resolution_m] = 100
@@ -60,7 +62,14 @@ def make_result(scans: int = 600, seed: int = 1) -> RunResult:
     hits = poses[rng.integers(0, scans, 5000), :2] + rng.normal(scale=HALF_CORRIDOR_M, size=(5000, 2))
     summary = {
         "log": {"path": "logs/corridor.clf", "format": "CARMEN"},
-        "timings_s": {"read": 0.8, "front_end": 3.4, "loop_closure": 2.1, "optimise": 0.6, "map": 1.2, "write": 0.3},
+        "timings_s": {
+            "read": 0.8,
+            "front_end": 3.4,
+            "loop_closure": 2.1,
+            "optimise": 0.6,
+            "map": 1.2,
+            "write": 0.3,
+        },
         "loops": {"made": 21, "refused": {"poor_fit": 4, "outside_gate": 11}},
         "real_time_factor": 83.2,
     }

@@ -1,0 +1,100 @@
+"""The report is one file that needs nothing else, and says what happened."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from mfslam import config
+from mfslam.output import charts, summarise
+from mfslam.output.overlay import weak_edges
+from mfslam.output.report import report_html
+from mfslam.output.tables import caption, value_text
+from mfslam.types import RunResult
+
+VOID = {"meta", "input", "br"}
+
+
+class Balance(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.links: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.links += [value or "" for key, value in attrs if key in ("src", "href")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.links += [value or "" for key, value in attrs if key in ("src", "href")]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.fixture
+def page(result: RunResult) -> str:
+    return report_html(result, summarise(result), config.describe())
+
+
+def test_well_formed_and_self_contained(page: str) -> None:
+    parser = Balance()
+    parser.feed(page)
+    assert parser.open == []
+    assert parser.links and all(link.startswith("data:image/png;base64,") for link in parser.links)
+    assert not re.search(r"https?://|@import|url\(", page)
+    assert "nan" not in re.sub(r"base64,[^\"]*", "", page)
+
+
+def test_warnings_in_words(page: str, result: RunResult) -> None:
+    assert result.findings.lines()[0] in page
+    assert "stamps go backwards" in page
+
+
+def test_names_from_a_log_cannot_inject_markup(result: RunResult) -> None:
+    result.summary["log"] = {"path": "<script>alert(1)</script>.clf", "format": "<b>"}
+    result.findings.add("odd", "topic <img src=x>", "<i>")
+    page = report_html(result, summarise(result), "# <u>")
+    for markup in ("<script>alert", "<b>,", "<img", "<i>)", "# <u>"):
+        assert markup not in page
+
+
+def test_weak_stretch_is_found_where_it_was_made(result: RunResult) -> None:
+    assert [edge.i for edge in weak_edges(result.edges)] == [31, 32, 33, 34, 35]
+
+
+def test_quantiles_over_stretches() -> None:
+    x = np.arange(1000.0)
+    _, low, middle, high = charts.binned(x, np.tile(np.arange(100.0), 10), bins=10)
+    np.testing.assert_allclose([low[0], middle[0], high[0]], [5, 50, 94], atol=1.0)
+    assert len(middle) == 10
+
+
+@pytest.mark.parametrize(("top", "expected"), [(1.0, [0, 0.2, 0.4, 0.6, 0.8, 1.0]), (37.0, [0, 10, 20, 30])])
+def test_ticks_are_round(top: float, expected: list[float]) -> None:
+    np.testing.assert_allclose(charts.ticks(top), expected)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "text"),
+    [
+        ("travelled_m", 508.2, "508.2 m"),
+        ("log_duration_s", 2691.0, "44 min 51 s"),
+        ("log_duration_s", 7677.0, "2 h 07 min"),
+        ("turned_deg", 12345.6, "12,346°"),
+        ("scans", 13631, "13,631"),
+        ("stamp_ns", 976052857000000123, "976052857000000123 ns"),
+        ("gyro", None, "-"),
+        ("converged", True, "yes"),
+    ],
+)
+def test_values_read_as_people_write_them(key: str, value: object, text: str) -> None:
+    assert value_text(key, value) == text
+
+
+def test_captions_drop_the_unit() -> None:
+    assert caption("residual_median_deg") == "residual median"
