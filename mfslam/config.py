@@ -143,10 +143,15 @@ class FrontendConfig(_Stage):
     """From scan to scan: prediction, matching against the recent past, choice of keyframes."""
 
     keyframe_distance_m: float = Field(0.3, gt=0, description="A keyframe at least every so far, m.")
-    keyframe_angle_deg: float = Field(15.0, gt=0, description="A keyframe at least every so much turning, deg.")
+    keyframe_angle_deg: float = Field(
+        15.0, gt=0, description="A keyframe at least every so much turning, deg."
+    )
     local_keyframes: int = Field(14, ge=1, description="Keyframes that make up the recent map.")
     min_inlier_ratio: float = Field(
-        0.55, gt=0, lt=1, description="Below this share of partnered points a fit is poor and a search is made."
+        0.55,
+        gt=0,
+        lt=1,
+        description="Below this share of partnered points a fit is poor and a search is made.",
     )
     search_window_m: float = Field(1.2, gt=0, description="Half window of the recovery search, m.")
     search_angle_deg: float = Field(100.0, gt=0, description="Half window of the recovery search, deg.")
@@ -157,21 +162,37 @@ class LoopsConfig(_Stage):
 
     use: bool = Field(True, description="Close loops.")
     every_m: float = Field(1.0, gt=0, description="A search at least every so far driven, m.")
-    min_travel_m: float = Field(8.0, gt=0, description="Places left less than this ago are no loop, m driven.")
+    min_travel_m: float = Field(
+        8.0, gt=0, description="Places left less than this ago are no loop, m driven."
+    )
     segment_m: float = Field(6.0, gt=0, description="Path whose scans are merged into one place, m.")
-    reach_m: float = Field(6.0, gt=0, description="Places farther than this plus the uncertainty are not tried, m.")
-    window_sigmas: float = Field(3.0, gt=0, description="Half window of the search, in sigmas of the prediction.")
+    reach_m: float = Field(
+        6.0, gt=0, description="Places farther than this plus the uncertainty are not tried, m."
+    )
+    window_sigmas: float = Field(
+        3.0, gt=0, description="Half window of the search, in sigmas of the prediction."
+    )
     min_window_m: float = Field(0.5, gt=0, description="Half window at least, m.")
     max_window_m: float = Field(20.0, gt=0, description="Half window at most, m.")
     max_places: int = Field(8, ge=1, description="Places tried in one search.")
-    min_score: float = Field(0.45, gt=0, lt=1, description="Correlative score below which there is no candidate.")
+    min_score: float = Field(
+        0.45, gt=0, lt=1, description="Correlative score below which there is no candidate."
+    )
     min_inlier_ratio: float = Field(0.7, gt=0, lt=1, description="Share of matched points that a loop needs.")
     min_agreement: float = Field(
-        0.9, gt=0, lt=1, description="Share of commonly seen points that must not lie in the other's free space."
+        0.9,
+        gt=0,
+        lt=1,
+        description="Share of commonly seen points that must not lie in the other's free space.",
     )
-    min_coverage: float = Field(0.4, gt=0, lt=1, description="Share of a place that the other must have seen.")
+    min_coverage: float = Field(
+        0.4, gt=0, lt=1, description="Share of a place that the other must have seen."
+    )
     ambiguous_score: float = Field(
-        0.93, gt=0, le=1, description="A runner-up elsewhere in the window with this share of the best score makes it ambiguous."
+        0.93,
+        gt=0,
+        le=1,
+        description="A runner-up elsewhere in the window with this share of the best score makes it ambiguous.",
     )
     lone_window_m: float = Field(1.0, gt=0, description="In wider windows several loops must agree, m.")
     partners: int = Field(2, ge=0, description="Loops that must agree with a new one from a wide window.")
@@ -180,9 +201,14 @@ class LoopsConfig(_Stage):
 class GraphConfig(_Stage):
     """The pose graph and its solvers."""
 
-    loop_kernel_sigmas: float = Field(3.0, gt=0, description="Scale of the Cauchy kernel on loops online, sigmas.")
+    loop_kernel_sigmas: float = Field(
+        3.0, gt=0, description="Scale of the Cauchy kernel on loops online, sigmas."
+    )
     loop_inlier_probability: float = Field(
-        0.999, gt=0, lt=1, description="Loops whose chi2 is above this quantile are outliers in the final solve."
+        0.999,
+        gt=0,
+        lt=1,
+        description="Loops whose chi2 is above this quantile are outliers in the final solve.",
     )
     gate_probability: float = Field(
         0.999, gt=0, lt=1, description="A loop must lie inside this quantile of the joint marginal."
@@ -292,7 +318,7 @@ def _read_yaml(path: Path) -> Iterator[_Leaf]:
     except MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise MfslamError(f"{path}:{line}: not valid YAML: {error.problem}") from None
-    except YAMLError as error:
+    except (YAMLError, ValueError) as error:  # ValueError: an impossible date, for one
         raise MfslamError(f"{path}: not valid YAML: {error}") from None
     if data is None:
         return
@@ -303,7 +329,9 @@ def _read_yaml(path: Path) -> Iterator[_Leaf]:
 
 def _yaml_leaves(node: Any, path: tuple[str, ...], file: Path) -> Iterator[_Leaf]:
     for key, value in node.items():
-        line = node.lc.key(key)[0] + 1
+        line = (node.lc.data or {}).get(key, [node.lc.line])[
+            0
+        ] + 1  # merged keys (<<) have no line of their own
         here = (*path, str(key))
         if isinstance(value, dict):
             yield from _yaml_leaves(value, here, file)
@@ -313,13 +341,18 @@ def _yaml_leaves(node: Any, path: tuple[str, ...], file: Path) -> Iterator[_Leaf
 
 def _parse_setting(setting: str) -> Iterator[_Leaf]:
     from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
 
     key, equals, text = setting.partition("=")
     if not equals or not key.strip():
         raise MfslamError(
             f"--set {setting}: expected stage.key=value, for example --set map.resolution_m=0.02"
         )
-    yield tuple(key.strip().split(".")), YAML(typ="safe").load(text), f"--set {setting}"
+    try:
+        value = YAML(typ="safe").load(text)
+    except (YAMLError, ValueError):
+        raise MfslamError(f"--set {setting}: the value {text.strip()!r} is not valid YAML") from None
+    yield tuple(key.strip().split(".")), value, f"--set {setting}"
 
 
 def _explain(error: ValidationError, origin: dict[tuple[str, ...], str]) -> Iterator[str]:

@@ -49,7 +49,7 @@ def exp(twist: FloatArray) -> FloatArray:
     small = np.abs(w) < 1e-6
     safe = np.where(small, 1.0, w)
     sin_w = np.where(small, 1.0 - w * w / 6.0, np.sin(safe) / safe)
-    cos_w = np.where(small, 0.5 * w, (1.0 - np.cos(safe)) / safe)
+    cos_w = np.where(small, 0.5 * w, 2.0 * np.sin(0.5 * safe) ** 2 / safe)  # 1 - cos without its cancellation
     x = sin_w * xi[..., 0] - cos_w * xi[..., 1]
     y = cos_w * xi[..., 0] + sin_w * xi[..., 1]
     return np.stack([x, y, wrap(w)], axis=-1)

@@ -30,7 +30,7 @@ def poses_on_twists(
         if abs(turn) < 1e-6:
             a, b = 1.0 - turn * turn / 6.0, 0.5 * turn
         else:
-            a, b = math.sin(turn) / turn, (1.0 - math.cos(turn)) / turn
+            a, b = math.sin(turn) / turn, 2.0 * math.sin(0.5 * turn) ** 2 / turn
         forward = (a * twists[k, 0] - b * twists[k, 1]) * dt
         left = (b * twists[k, 0] + a * twists[k, 1]) * dt
         c, s = math.cos(knot_poses[k, 2]), math.sin(knot_poses[k, 2])
