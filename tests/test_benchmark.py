@@ -1,0 +1,99 @@
+"""scripts/benchmark.py: what it finds, measures and writes, with a stand-in for the command it times."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from mfslam.types import MfslamError
+
+SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "benchmark.py"
+
+STAND_IN = """#!{python}
+import json, sys
+from pathlib import Path
+log, out = Path(sys.argv[2]), Path(sys.argv[4])
+if "broken" in log.name:
+    sys.exit("mfslam: " + log.name + ": holds no scan")
+out.mkdir()
+cells = 900 if "deskew.mode=none" not in sys.argv else 1000
+summary = {{"counts": {{"scans": 3}}, "distances": {{"travelled_m": 2.0, "log_duration_s": 120.0}},
+           "crispness": {{"cells": cells, "entropy_nats": 5.0}}}}
+(out / "summary.json").write_text(json.dumps(summary))
+(out / "trajectory.tum").write_text("1 0 0 0 0 0 0 1\\n2 1 0 0 0 0 0 1\\n3 2.5 0 0 0 0 0 1\\n")
+"""
+
+
+@pytest.fixture
+def benchmark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    spec = importlib.util.spec_from_file_location("benchmark", SCRIPT)
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "benchmark", module)
+    spec.loader.exec_module(module)
+    command = tmp_path / "bin" / "mfslam"
+    command.parent.mkdir()
+    command.write_text(STAND_IN.format(python=sys.executable))
+    command.chmod(0o755)
+    monkeypatch.setattr(module.sys, "executable", str(command.with_name("python")))
+    return module
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    folder = tmp_path / "data"
+    folder.mkdir()
+    (folder / "broken.bag").write_bytes(b"")
+    (folder / "office.clf.gz").write_bytes(b"xx")
+    (folder / "office.relations").write_text("1 2 1 0 0 0 0 0\n2 3 1 0 0 0 0 0\n7 8 1 0 0 0 0 0\n")
+    (folder / "yard.dat").write_bytes(b"xxx")
+    (folder / "notes.txt").write_text("no log")
+    return folder
+
+
+def test_every_log_is_run_and_scored(
+    benchmark: ModuleType,
+    data: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    page, figures = tmp_path / "docs" / "benchmarks.md", tmp_path / "b.json"
+    arguments = ["benchmark", "--data", str(data), "--json", str(figures), "--markdown", str(page)]
+    monkeypatch.setattr(sys, "argv", arguments)
+    assert benchmark.main() == 0
+    told = capsys.readouterr().out
+    assert "2 of 3" in told and "0.2500" in told  # errors of 0 and 0.5 m, one relation unmatched
+    assert "holds no scan" in told
+    runs = {(run["log"], run["variant"]): run for run in json.loads(figures.read_text())["runs"]}
+    assert set(runs) == {
+        ("broken", "deskew on"), ("office", "deskew on"),
+        ("yard", "deskew on"), ("yard", "deskew off"), ("yard", "beams reversed"),
+    }  # fmt: skip
+    office = runs["office", "deskew on"]
+    assert office["cpu_s"] > 0 and office["peak_mb"] > 1
+    assert office["real_time_factor"] == pytest.approx(120.0 / office["cpu_s"])
+    assert "| yard | deskew on | 900 | -10.0 % | 5.000 |" in page.read_text()
+
+
+def test_the_page_around_the_tables_is_kept(benchmark: ModuleType, tmp_path: Path) -> None:
+    page = tmp_path / "b.md"
+    page.write_text(f"# Mine\n{benchmark.BEGIN}\nold\n{benchmark.END}\nAfter.\n")
+    benchmark.write_markdown(page, [], "scripts/benchmark.py")
+    text = page.read_text()
+    assert text.startswith("# Mine\n") and text.endswith("\nAfter.\n") and "old" not in text
+    page.write_text("no markers")
+    with pytest.raises(MfslamError, match="expected the markers"):
+        benchmark.write_markdown(page, [], "x")
+
+
+def test_a_folder_without_logs_is_named(benchmark: ModuleType, tmp_path: Path) -> None:
+    with pytest.raises(MfslamError, match="no such folder"):
+        benchmark.find_logs(tmp_path / "none", [])
+    with pytest.raises(MfslamError, match="no log here"):
+        benchmark.find_logs(tmp_path, [])
