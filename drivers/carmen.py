@@ -17,10 +17,8 @@ from drivers.carmen_survey import choose_source, mount_of, number, odometry_kind
 from drivers.laser_models import clean_ranges, laser_from
 from drivers.stamp_watch import StampWatch
 from drivers.text_source import NumberCache, TextSource, stamp_ns
-from mfslam.config import Config, SensorConfig
+from mfslam.config import Config
 from mfslam.types import Findings, FloatArray, Laser, Message, Odometry, Scan
-
-_SICK_STEP_RAD = math.radians(1.0)  # the mirror's own step; finer scans take several turns
 
 
 class CarmenLog:
@@ -126,23 +124,11 @@ class CarmenLog:
     def _new_laser(self, fields: list[bytes], n_beams: int, line_number: int) -> Laser:
         told = geometry(fields, self._layout, n_beams, self.findings, self._source.where(line_number))
         limits = [m for m in (told.range_max_m, self._range_max_m) if m is not None and m > 0.0]
-        told = replace(
-            told,
-            range_max_m=min(limits, default=None),
-            body_T_laser=self._mount,
-            interlace=_interlace(self._sensor, told.angle_step_rad),
-        )
+        told = replace(told, range_max_m=min(limits, default=None), body_T_laser=self._mount)
         return laser_from(self._sensor, told, name=self._word.decode().lower())
 
     def _count(self, code: str, text: str, line_number: int, count: int = 1) -> None:
         self.findings.add(code, text, self._source.where(line_number), count)
-
-
-def _interlace(sensor: SensorConfig, step_rad: float) -> int | None:
-    """A SICK LMS whose beams are closer than its mirror's step interlaces turns, unless settings say."""
-    if "interlace" in sensor.model_fields_set or not sensor.name.startswith("sick-lms2"):
-        return None
-    return max(1, round(_SICK_STEP_RAD / step_rad))
 
 
 def _odometry(fields: list[bytes]) -> Odometry:

@@ -12,6 +12,7 @@ from mfslam.config import SensorConfig
 from mfslam.types import Float32Array, FloatArray, Laser
 
 _TURN_RAD = 2.0 * math.pi
+_SICK_STEP_RAD = math.radians(1.0)
 _RANGE_MAX_M = 100.0  # no 2D laser for wheeled robots sees farther
 
 
@@ -19,7 +20,7 @@ _RANGE_MAX_M = 100.0  # no 2D laser for wheeled robots sees farther
 class LogGeometry:
     """What a log tells of its laser; None where it is silent.
 
-    ``time_increment_s`` and ``turn_period_s`` are two ways to say the same: at most one is needed.
+    ``turn_period_s``: of the mirror, also where the field of view is less than a turn.
     ``body_T_laser``: x, y (m) and heading (rad) of the laser's x axis. ``upside_down``: its z axis points
     to the floor.
     """
@@ -27,13 +28,11 @@ class LogGeometry:
     n_beams: int
     angle_min_rad: float
     angle_step_rad: float
-    time_increment_s: float | None = None
     turn_period_s: float | None = None
     range_min_m: float | None = None
     range_max_m: float | None = None
     body_T_laser: tuple[float, float, float] | None = None
     upside_down: bool = False
-    interlace: int | None = None
 
 
 def laser_from(sensor: SensorConfig, told: LogGeometry, *, name: str | None = None) -> Laser:
@@ -71,17 +70,21 @@ def beam_offsets(sensor: SensorConfig, told: LogGeometry, angles_rad: FloatArray
     n = told.n_beams
     order = np.arange(n)[::-1] if sensor.reversed_beams else np.arange(n)
     period_s = told.turn_period_s if sensor.turn_period_s is None else sensor.turn_period_s
-    if sensor.turn_period_s is None and told.time_increment_s is not None:
-        offsets = order * told.time_increment_s
-    elif period_s:
-        step = abs(float(angles_rad[1] - angles_rad[0])) if n > 1 else 0.0
-        turns = told.interlace if told.interlace is not None else sensor.interlace
-        offsets = (order * step / _TURN_RAD + np.arange(n) % turns) * period_s  # eq. 15
-    else:
-        offsets = np.zeros(n)
+    step = abs(float(angles_rad[1] - angles_rad[0])) if n > 1 else 0.0
+    offsets = (order * step / _TURN_RAD + np.arange(n) % _interlace(sensor, step)) * (
+        period_s or 0.0
+    )  # eq. 15
     duration_s = float(offsets.max(initial=0.0))
     stamp_share = {"first": 0.0, "middle": 0.5, "last": 1.0}[sensor.stamp_at]
     return np.asarray(offsets - stamp_share * duration_s + sensor.transport_delay_s, dtype=np.float64)
+
+
+def _interlace(sensor: SensorConfig, step_rad: float) -> int:
+    """Turns that make up one scan: as set; else a SICK LMS 2xx whose beams are closer than its mirror's
+    step senses them in several turns."""
+    if "interlace" in sensor.model_fields_set or not sensor.name.startswith("sick-lms2") or not step_rad:
+        return sensor.interlace
+    return max(1, round(_SICK_STEP_RAD / step_rad))
 
 
 def mount(sensor: SensorConfig, told: tuple[float, float, float] | None) -> FloatArray:

@@ -1,0 +1,74 @@
+"""How long a laser's turn takes, where a ROS log tells it badly.
+
+A LaserScan says the time between beams (``time_increment``), but many ROS drivers leave it zero or get it
+wrong by orders of magnitude. What is told is believed when it fits the pace of the scans.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mfslam.types import Findings
+
+_PLAUSIBLE_SHARE = (0.3, 1.05)  # of the median gap between scans that one scan may last
+_FOV_TOLERANCE = 0.2
+# periods of common mirrors (SICK LMS 2xx and 1xx, Hokuyo): such a laser may be told right and still come
+# far more slowly than it turns, over a serial line or with scans left out
+_MIRRORS_S = (1.0 / 75.0, 0.02, 0.025, 0.04, 1.0 / 15.0, 0.1)
+_MIRROR_TOLERANCE = 0.02
+
+
+@dataclass(frozen=True)
+class ScanTiming:
+    """What the first scans of a log say: medians."""
+
+    n_beams: int
+    angle_step_rad: float
+    time_increment_s: float
+    gap_s: float | None  # between stamps; None with fewer than two stamps
+
+
+def median_gap_s(stamps_ns: list[int]) -> float | None:
+    """Median of the gaps that are positive."""
+    gaps = np.diff(np.asarray(stamps_ns, dtype=np.int64))
+    gaps = gaps[gaps > 0]
+    return float(np.median(gaps)) * 1e-9 if gaps.size else None
+
+
+def turn_period_s(timing: ScanTiming, findings: Findings) -> float:
+    """Period of the mirror's turn T_s (eq. 15), 0 for a snapshot. A repair is told in ``findings``."""
+    span_rad = abs(timing.angle_step_rad) * (timing.n_beams - 1)
+    told_s = timing.time_increment_s * (timing.n_beams - 1)
+    if _is_plausible(told_s, span_rad, timing.gap_s):
+        return told_s * 2.0 * math.pi / span_rad
+    if timing.gap_s is None or not span_rad:
+        findings.add(
+            "time-increment-unknown",
+            "time_increment is not given and there are too few scans to derive it: each scan is taken as a "
+            "snapshot; set sensor.turn_period_s",
+        )
+        return 0.0
+    findings.add(
+        "time-increment-repaired",
+        f"time_increment of {timing.time_increment_s:.3g} s ({told_s:.3g} s for a scan) does not fit scans "
+        f"{timing.gap_s:.3g} s apart: one turn is taken to last {timing.gap_s:.3g} s; "
+        "set sensor.turn_period_s if that is wrong (0: a snapshot)",
+    )
+    return timing.gap_s
+
+
+def _is_plausible(told_s: float, span_rad: float, gap_s: float | None) -> bool:
+    if not (math.isfinite(told_s) and told_s > 0.0 and span_rad > 0.0):
+        return False
+    if gap_s is None:
+        return told_s < 1.0
+    share, fov_share = told_s / gap_s, span_rad / (2.0 * math.pi)
+    period_s = told_s / fov_share
+    return (
+        _PLAUSIBLE_SHARE[0] <= share <= _PLAUSIBLE_SHARE[1]
+        or abs(share - fov_share) < _FOV_TOLERANCE * fov_share
+        or (share < 1.0 and any(abs(period_s / mirror - 1.0) < _MIRROR_TOLERANCE for mirror in _MIRRORS_S))
+    )

@@ -1,0 +1,146 @@
+"""Messages of a ROS bag of any kind, through rosbags, with its errors told in one line each."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import ReaderError as ReaderError1
+from rosbags.rosbag2 import ReaderError as ReaderError2
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_typestore
+
+from mfslam.types import Findings, MfslamError
+
+_BAG_ERRORS = (
+    AnyReaderError,
+    ReaderError1,
+    ReaderError2,
+    TypesysError,
+    sqlite3.Error,
+    FileNotFoundError,
+    AssertionError,
+    EOFError,
+    KeyError,
+    IndexError,
+    TypeError,
+    UnicodeDecodeError,
+    ValueError,
+    struct.error,
+)
+_MESSAGE_ERRORS = (
+    AnyReaderError,
+    SerdeError,
+    AssertionError,
+    IndexError,
+    TypeError,
+    UnicodeDecodeError,
+    ValueError,
+    struct.error,
+)
+
+
+class BagReader:
+    """An open bag. Raises MfslamError where it cannot be opened."""
+
+    def __init__(self, path: Path, findings: Findings) -> None:
+        self.path = path
+        self._findings = findings
+        self._stack = ExitStack()
+        self.last_bag_time_ns = 0
+        with self._told_in_one_line():
+            files = self._files()
+            # bags that were written without message definitions hold standard messages
+            reader = AnyReader(files, default_typestore=get_typestore(Stores.LATEST))
+            self._reader = self._stack.enter_context(reader)
+            self.connections: list[Connection] = list(reader.connections)
+            self.start_ns, self.end_ns = (
+                (reader.start_time, reader.end_time) if reader.message_count else (0, 0)
+            )
+
+    def close(self) -> None:
+        self._stack.close()
+
+    def counts(self) -> dict[str, int]:
+        """Messages per topic."""
+        out: dict[str, int] = {}
+        for connection in self.connections:
+            out[connection.topic] = out.get(connection.topic, 0) + connection.msgcount
+        return dict(sorted(out.items()))
+
+    def messages(self, connections: Sequence[Connection]) -> Iterator[tuple[str, int, Any]]:
+        """(topic, bag time in ns, message) in the bag's order. Messages that cannot be decoded are counted.
+
+        A bag that turns out to be damaged ends early, with a finding; if nothing at all could be read of
+        it, that is an MfslamError.
+        """
+        if not connections:
+            return
+        n_read = 0
+        source = self._reader.messages(connections=connections)
+        while True:
+            try:
+                connection, time_ns, raw = next(source)
+            except StopIteration:
+                return
+            except _BAG_ERRORS as error:
+                if not n_read:
+                    raise MfslamError(f"{self.path}: cannot be read: {_first_line(error)}") from None
+                text = f"the bag is damaged ({_first_line(error)}): read up to there"
+                self._findings.add("file-damaged", text, f"{time_ns} ns")
+                return
+            n_read += 1
+            self.last_bag_time_ns = max(self.last_bag_time_ns, time_ns)
+            try:
+                message = self._reader.deserialize(raw, connection.msgtype)
+            except _MESSAGE_ERRORS:
+                text = f"message of {connection.topic} cannot be decoded: left out"
+                self._findings.add(f"undecodable-{connection.topic}", text, f"{time_ns} ns")
+                continue
+            yield connection.topic, time_ns, message
+
+    def _files(self) -> list[Path]:
+        """What rosbags is to open: it goes by suffix, we go by content."""
+        if not self.path.is_dir():
+            return [self._with_suffix(self.path)]
+        if (self.path / "metadata.yaml").is_file():
+            return [self.path]
+        bare = sorted(p for p in self.path.iterdir() if p.suffix in (".mcap", ".db3"))
+        self._findings.add(
+            "no-metadata", "the bag's folder has no metadata.yaml: its files are read as they are"
+        )
+        return [self._with_suffix(p) for p in bare]
+
+    def _with_suffix(self, path: Path) -> Path:
+        """The file, or a link to it that has the suffix of what is in it."""
+        with path.open("rb") as file:
+            magic = file.read(16)
+        suffix = ".bag" if magic.startswith(b"#ROSBAG") else ".mcap" if b"MCAP" in magic else ".db3"
+        if path.suffix == suffix:
+            return path
+        folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="mfslam-")))
+        link = folder / (path.name + suffix)
+        link.symlink_to(path.resolve())
+        return link
+
+    @contextmanager
+    def _told_in_one_line(self) -> Iterator[None]:
+        try:
+            yield
+        except _BAG_ERRORS as error:
+            self._stack.close()
+            raise MfslamError(
+                f"{self.path}: this bag cannot be opened: {_first_line(error)} (an interrupted recording? "
+                "try `rosbag reindex`, `ros2 bag reindex` or `mcap recover`)"
+            ) from None
+
+
+def _first_line(error: BaseException) -> str:
+    return next(iter(str(error).splitlines()), "") or type(error).__name__
