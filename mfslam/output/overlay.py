@@ -4,38 +4,54 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
 from mfslam.output import maps
 from mfslam.output.summary import travelled_m
-from mfslam.types import BoolArray, Edge, FloatArray, OccupancyGrid, RunResult
+from mfslam.types import BoolArray, Edge, FloatArray, IntArray, OccupancyGrid, RunResult
 
 WEAK_SIGMA_M = 0.1  # a scan match that leaves more than this open in some direction is drawn as weak
 _MARGIN_M = 1.0
 _PATH_POINTS = 6000
 
 
-def map_svg(result: RunResult) -> str:
-    """Map, trajectory, keyframes, loops, rejected edges and weak stretches, each in its own group."""
-    keyframes = result.world_T_body[result.keyframes]
-    loops = [edge for edge in result.edges if edge.kind == "loop"]
+@dataclass(frozen=True)
+class Layer:
+    """One thing that the reader can show or hide: an SVG group with a name."""
+
+    key: str
+    name: str
+    svg: str
+    shown: bool = True
+
+
+def map_layers(result: RunResult, jumps: IntArray) -> tuple[list[Layer], FloatArray]:
+    """The layers of the map, lowest first, and the box (left, top, width, height) that holds them all.
+
+    ``jumps``: indices of the scans where the wheel odometry was not believed.
+    """
+    poses = result.world_T_body
+    keyframes = poses[result.keyframes]
+    loops = [edge for edge in result.edges if edge.kind == "loop" and edge.weight >= 0.5]
     rejected = [edge for edge in result.edges if edge.weight < 0.5 and edge.i != edge.j]
-    kept = [edge for edge in loops if edge.weight >= 0.5]
-    picture, box = _picture(result.grid, result.world_T_body)
+    weak = weak_edges(result.edges)
+    picture, box = _picture(result.grid, poses)
     layers = [
-        f'<g class="l-map">{picture}</g>',
-        f'<path class="l-weak" d="{_segments(keyframes, weak_edges(result.edges))}"/>',
-        f'<path class="l-loops" d="{_segments(keyframes, kept)}"/>',
-        f'<path class="l-rejected" d="{_segments(keyframes, rejected)}"/>',
-        f'<path class="l-path" d="{_polyline(result.world_T_body)}"/>',
-        f'<path class="l-keyframes" d="{_dots(keyframes)}"/>',
-        _ends(result.world_T_body),
+        Layer("map", "map", f'<g class="l-map">{picture}</g>'),
+        _layer("weak", f"weak direction ({len(weak)})", _segments(keyframes, weak)),
+        _layer("loops", f"loop closures ({len(loops)})", _segments(keyframes, loops)),
+        _layer("rejected", f"rejected edges ({len(rejected)})", _segments(keyframes, rejected)),
+        Layer("path", "trajectory", f'<path class="l-path" d="{_polyline(poses)}"/>{_ends(poses)}'),
+        _layer("keyframes", f"keyframes ({len(keyframes)})", _dots(keyframes), shown=False),
+        _layer("jumps", f"odometry jumps ({len(jumps)})", _dots(poses[jumps])),
     ]
-    return (
-        f'<svg id="map" viewBox="{_box_text(box)}" preserveAspectRatio="xMidYMid meet" role="img" '
-        f'aria-label="map with trajectory">{"".join(layers)}</svg>'
-    )
+    return [layer for layer in layers if layer.svg], box
+
+
+def _layer(key: str, name: str, d: str, shown: bool = True) -> Layer:
+    return Layer(key, name, f'<path class="l-{key}" d="{d}"/>' if d else "", shown)
 
 
 def weak_edges(edges: Iterable[Edge]) -> list[Edge]:
@@ -50,7 +66,7 @@ def weak_edges(edges: Iterable[Edge]) -> list[Edge]:
 
 
 def _picture(grid: OccupancyGrid, world_T_body: FloatArray) -> tuple[str, FloatArray]:
-    """The known part of the grid as an image element, and the box (x0, y0, x1, y1) that shows it all."""
+    """The known part of the grid as an image element, and the box around it and the path, y downwards."""
     known: BoolArray = grid.occupancy >= 0
     rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     corners = [world_T_body[:, :2]] if len(world_T_body) else [np.zeros((1, 2))]
@@ -67,13 +83,9 @@ def _picture(grid: OccupancyGrid, world_T_body: FloatArray) -> tuple[str, FloatA
             f'<image x="{low[0]:.3f}" y="{-high[1]:.3f}" width="{width:.3f}" height="{height:.3f}" '
             f'preserveAspectRatio="none" href="data:image/png;base64,{png}"/>'
         )
-    points = np.concatenate(corners)
-    return image, np.concatenate([points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M])
-
-
-def _box_text(box: FloatArray) -> str:
-    x0, y0, x1, y1 = box.tolist()
-    return f"{x0:.2f} {-y1:.2f} {x1 - x0:.2f} {y1 - y0:.2f}"
+    points = np.concatenate(corners) * [1.0, -1.0]
+    size = np.ptp(points, axis=0) + 2.0 * _MARGIN_M
+    return image, np.concatenate([points.min(axis=0) - _MARGIN_M, size])
 
 
 def _polyline(world_T_body: FloatArray) -> str:

@@ -4,7 +4,15 @@ const where = document.getElementById("where");
 const home = map.viewBox.baseVal;
 let box = { x: home.x, y: home.y, w: home.width, h: home.height };
 const whole = { ...box };
-const show = () => map.setAttribute("viewBox", `${box.x} ${box.y} ${box.w} ${box.h}`);
+const scale = document.getElementById("scale");
+const show = () => {
+  map.setAttribute("viewBox", `${box.x} ${box.y} ${box.w} ${box.h}`);
+  const pixelsPerMetre = map.getScreenCTM().a;
+  const power = 10 ** Math.floor(Math.log10(140 / pixelsPerMetre));
+  const metres = [5, 2, 1].map((m) => m * power).find((m) => m * pixelsPerMetre <= 140);
+  scale.textContent = metres < 1 ? `${Math.round(metres * 100)} cm` : `${metres} m`;
+  scale.style.width = `${metres * pixelsPerMetre}px`;
+};
 const at = (event) => new DOMPoint(event.clientX, event.clientY).matrixTransform(map.getScreenCTM().inverse());
 
 for (const input of document.querySelectorAll(".map input")) {
@@ -15,8 +23,8 @@ for (const input of document.querySelectorAll(".map input")) {
 map.addEventListener("wheel", (event) => {
   event.preventDefault();
   const p = at(event);
-  const scale = Math.exp(event.deltaY * 0.0015);
-  box = { x: p.x + (box.x - p.x) * scale, y: p.y + (box.y - p.y) * scale, w: box.w * scale, h: box.h * scale };
+  const k = Math.exp(event.deltaY * 0.0015);
+  box = { x: p.x + (box.x - p.x) * k, y: p.y + (box.y - p.y) * k, w: box.w * k, h: box.h * k };
   show();
 }, { passive: false });
 let grabbed = null;
@@ -32,3 +40,5 @@ map.addEventListener("pointermove", (event) => {
   }
 });
 document.getElementById("whole").addEventListener("click", () => { box = { ...whole }; show(); });
+window.addEventListener("resize", show);
+show();

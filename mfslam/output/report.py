@@ -6,19 +6,12 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-from mfslam.output.overlay import WEAK_SIGMA_M, map_svg
+import numpy as np
+
+from mfslam.output.overlay import WEAK_SIGMA_M, map_layers
 from mfslam.output.plots import plot_cards
 from mfslam.output.tables import caption, section_tables, value_text
-from mfslam.types import RunResult
-
-_LAYERS = (
-    ("map", "map", "", True),
-    ("path", "trajectory", "c-scan", True),
-    ("keyframes", "keyframes", "c-scan", False),
-    ("loops", "loop closures", "c-loop", True),
-    ("rejected", "rejected edges", "c-rejected", True),
-    ("weak", "weak direction", "c-weak", True),
-)
+from mfslam.types import IntArray, RunResult
 
 
 def report_html(result: RunResult, summary: dict[str, Any], config_yaml: str) -> str:
@@ -31,7 +24,7 @@ def report_html(result: RunResult, summary: dict[str, Any], config_yaml: str) ->
         f"<header><h1>{escape(title)}</h1><p>{escape(_subtitle(summary))}</p></header>",
         _tiles(summary),
         _warnings(result, summary),
-        _map(result),
+        _map(result, summary),
         f'<h2>How it went</h2><div class="grid2">{plot_cards(result, summary)}</div>',
         f'<h2>In numbers</h2><div class="grid3">{section_tables(summary)}</div>',
         f'<details class="card"><summary>Effective configuration</summary><pre>{escape(config_yaml)}</pre></details>',
@@ -91,16 +84,27 @@ def _warnings(result: RunResult, summary: dict[str, Any]) -> str:
     return f'<h2>Warnings</h2><ul class="warnings">{items}</ul>'
 
 
-def _map(result: RunResult) -> str:
+def _map(result: RunResult, summary: dict[str, Any]) -> str:
+    layers, box = map_layers(result, _jumps(summary, len(result.stamps_ns)))
     boxes = "".join(
-        f'<label><input type="checkbox" value="{key}"{" checked" if on else ""}>'
-        + (f'<i class="{css}"></i>' if css else " ")
-        + f"{name}</label>"
-        for key, name, css, on in _LAYERS
+        f'<label><input type="checkbox" value="{layer.key}"{" checked" if layer.shown else ""}>'
+        f'<i class="k-{layer.key}"></i>{escape(layer.name)}</label>'
+        for layer in layers
     )
+    drawing = "".join(layer.svg for layer in layers)
+    view_box = " ".join(f"{value:.2f}" for value in box.tolist())
+    shape = f"aspect-ratio: {box[2]:.2f} / {box[3]:.2f}"
     return (
-        f'<h2>Map</h2><div class="card map"><div class="bar">{boxes}<button id="whole">whole map</button>'
-        f'<span id="where">wheel zooms, drag moves</span></div>{map_svg(result)}</div>'
+        f'<h2>Map</h2><div class="card map"><div class="bar">{boxes}<button id="whole">whole map</button></div>'
+        f'<div class="sheet"><svg id="map" viewBox="{view_box}" style="{shape}" role="img" '
+        f'aria-label="map with trajectory">{drawing}</svg><div id="scale"></div><div id="where">wheel zooms, drag moves</div></div></div>'
         '<p class="none">Green dot: start, red dot: end. Weak direction: scan matching left more than '
         f"{WEAK_SIGMA_M:g} m (one sigma) open in one direction, so the wheels decided there.</p>"
     )
+
+
+def _jumps(summary: dict[str, Any], scans: int) -> IntArray:
+    """Scans at which the summary tells of an odometry anomaly."""
+    anomalies = summary.get("odometry_anomalies")
+    told = [a.get("scan") for a in anomalies if isinstance(a, dict)] if isinstance(anomalies, list) else []
+    return np.array([n for n in told if isinstance(n, int) and 0 <= n < scans], dtype=np.int64)
