@@ -70,7 +70,7 @@ def _room(
         f"wall {left:.2f} {near:.2f} {x:.2f} {near:.2f} {x:.2f} {far:.2f} {x + width:.2f} {far:.2f}",
         f"wall {right:.2f} {near:.2f} {x + width:.2f} {near:.2f}",
     ]
-    opening = side * float(rng.uniform(70.0, 110.0))
+    opening = side * float(rng.uniform(90.0, 120.0))
     lines.append(f"door {left:.2f} {near:.2f} {right:.2f} {near:.2f} {opening:.0f} 0")
     for _ in range(int(rng.integers(1, 4))):  # desks and cupboards along the far wall
         w, d = rng.uniform(0.5, 1.6), rng.uniform(0.3, 0.8)

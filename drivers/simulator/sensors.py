@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.laser_models import LogGeometry, laser_from
+from mfslam import config
 from mfslam.types import FloatArray, Laser, MfslamError
 
 
@@ -34,64 +38,64 @@ class LaserModel:
 
 
 @dataclass(frozen=True)
-class _Spec:
-    beams: int
-    angle_min_deg: float
-    angle_step_deg: float
-    turn_period_s: float
+class _Delivery:
+    """What a preset leaves to the log: geometry told, rate of scans, resolution, fate of lost beams."""
+
+    preset: str
+    told: LogGeometry
     period_s: float
-    range_min_m: float
-    range_max_m: float
-    range_sigma_m: float
     range_step_m: float
-    interlace: int = 1
-    clockwise: bool = False
     no_return_is_inf: bool = True
 
 
-# Datasheet figures; period_s is what the usual serial link or driver delivers.
-_SPECS: dict[str, _Spec] = {
-    "urg-04lx": _Spec(682, -119.53125, 0.3515625, 0.1, 0.1, 0.06, 4.0, 0.02, 0.001, no_return_is_inf=False),
-    "utm-30lx": _Spec(1081, -135.0, 0.25, 0.025, 0.025, 0.1, 30.0, 0.01, 0.001),
-    "sick-lms200": _Spec(181, -90.0, 1.0, 1.0 / 75.0, 0.2, 0.05, 50.0, 0.01, 0.01),
-    "sick-lms291": _Spec(361, -90.0, 0.5, 1.0 / 75.0, 0.2, 0.05, 50.0, 0.01, 0.01, interlace=2),
-    "rplidar-a1": _Spec(360, -180.0, 1.0, 0.1818, 0.1818, 0.15, 12.0, 0.02, 0.00025, clockwise=True),
-    "rplidar-a2": _Spec(400, -180.0, 0.9, 0.1, 0.1, 0.2, 16.0, 0.02, 0.00025, clockwise=True),
-    "generic": _Spec(360, -180.0, 1.0, 0.1, 0.1, 0.05, 20.0, 0.02, 0.001),
-    "fast": _Spec(721, -135.0, 0.375, 0.1, 0.1, 0.06, 10.0, 0.02, 0.001),
+def _beams(
+    count: int,
+    first_deg: float,
+    step_deg: float,
+    turn_s: float | None = None,
+    range_max_m: float | None = None,
+) -> LogGeometry:
+    return LogGeometry(
+        n_beams=count,
+        angle_min_rad=math.radians(first_deg),
+        angle_step_rad=math.radians(step_deg),
+        turn_period_s=turn_s,
+        range_max_m=range_max_m,
+    )
+
+
+# Rates are what the usual serial link or driver delivers.
+_DELIVERIES: dict[str, _Delivery] = {
+    "urg-04lx": _Delivery("urg-04lx", _beams(682, -119.53125, 0.3515625), 0.1, 0.001, False),
+    "utm-30lx": _Delivery("utm-30lx", _beams(1081, -135.0, 0.25), 0.025, 0.001),
+    "sick-lms200": _Delivery("sick-lms200", _beams(181, -90.0, 1.0), 0.2, 0.01),
+    "sick-lms291": _Delivery("sick-lms291", _beams(361, -90.0, 0.5), 0.2, 0.01),
+    "rplidar-a1": _Delivery("rplidar-a1", _beams(360, -180.0, 1.0, 0.18), 0.18, 0.001),
+    "rplidar-a2": _Delivery("rplidar-a2", _beams(400, -180.0, 0.9, 0.1), 0.1, 0.001),
+    "generic": _Delivery("generic", _beams(360, -180.0, 1.0, 0.1, 20.0), 0.1, 0.001),
+    "fast": _Delivery("generic", _beams(721, -135.0, 0.375, 0.1, 10.0), 0.1, 0.001),
 }
 
 
 def laser_model_names() -> list[str]:
-    return sorted(_SPECS)
+    return sorted(_DELIVERIES)
 
 
 def laser_model(name: str, body_T_laser: FloatArray | tuple[float, float, float] = (0, 0, 0)) -> LaserModel:
-    """A known sensor by its name, mounted at ``body_T_laser`` (3,).
+    """A known sensor by its name, mounted at ``body_T_laser`` (3,): the preset's geometry, timing and noise.
 
-    Beam k is sensed at its angle from the first sensed beam over 2 pi, times the mirror's turn (eq. 15);
-    interlaced beams one turn later each. The instant of a scan is that of its first sensed beam.
+    The instant of a scan is that of its first sensed beam.
     """
-    if name not in _SPECS:
-        near = difflib.get_close_matches(name, _SPECS, n=1)
+    if name not in _DELIVERIES:
+        near = difflib.get_close_matches(name, _DELIVERIES, n=1)
         hint = f"; did you mean {near[0]}?" if near else ""
         raise MfslamError(f"no laser model {name!r}{hint} Known: {', '.join(laser_model_names())}")
-    spec = _SPECS[name]
-    beam = np.arange(spec.beams, dtype=np.float64)
-    order = beam[::-1] if spec.clockwise else beam
-    turn = order * (spec.angle_step_deg / 360.0)  # eq. 15, in mirror turns
-    laser = Laser(
-        name=name,
-        angles_rad=np.radians(spec.angle_min_deg + beam * spec.angle_step_deg),
-        offsets_s=(turn + order % spec.interlace) * spec.turn_period_s,
-        range_min_m=spec.range_min_m,
-        range_max_m=spec.range_max_m,
-        range_sigma_m=spec.range_sigma_m,
-        body_T_laser=np.asarray(body_T_laser, dtype=np.float64),
-    )
+    delivery = _DELIVERIES[name]
+    sensor = config.load([config.preset_path(delivery.preset)]).sensor
+    laser = laser_from(sensor, delivery.told, name=name)
     return LaserModel(
-        laser=laser,
-        period_s=spec.period_s,
-        range_step_m=spec.range_step_m,
-        no_return_is_inf=spec.no_return_is_inf,
+        laser=dataclasses.replace(laser, body_T_laser=np.asarray(body_T_laser, dtype=np.float64)),
+        period_s=delivery.period_s,
+        range_step_m=delivery.range_step_m,
+        no_return_is_inf=delivery.no_return_is_inf,
     )

@@ -187,8 +187,7 @@ def _wheel_messages(
         return [], None
     own = np.array([start_ns], dtype=np.int64)
     if robot.encoder_rate_hz is not None:
-        count = math.floor(motion.duration_s * robot.encoder_rate_hz) + 1
-        own = start_ns + np.rint(np.arange(count) * (1e9 / robot.encoder_rate_hz)).astype(np.int64)
+        own = start_ns + _reading_ns(motion, robot.encoder_rate_hz)
     stamps = np.unique(np.concatenate([own, scan_stamps]))
     times = _seconds(stamps, start_ns)
     angles = wheel_angles(motion, robot, times, rng)
@@ -204,6 +203,12 @@ def _wheel_messages(
     poses = _displaced(dead_reckoning(ticks, robot.wheels), times, faults.odometry_jumps)
     messages: list[Message] = [Odometry(t, pose) for t, pose in _pick(stamps, poses, told)]
     return messages, poses[np.searchsorted(stamps, scan_stamps)]
+
+
+def _reading_ns(motion: Motion, rate_hz: float) -> IntArray:
+    """Instants of readings at an even rate, ns from the start."""
+    count = math.floor(motion.duration_s * rate_hz + 1e-6) + 1
+    return np.asarray(np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64))
 
 
 def _pick(stamps: IntArray, rows: FloatArray, told: np.ndarray) -> Iterator[tuple[int, FloatArray]]:
@@ -226,13 +231,14 @@ def _gyro_messages(
 ) -> list[Message]:
     if robot.gyro_rate_hz <= 0.0:
         return []
-    count = math.floor(motion.duration_s * robot.gyro_rate_hz) + 1
-    times = np.rint(np.arange(count) * (1e9 / robot.gyro_rate_hz)) * 1e-9
-    noise = rng.standard_normal((count, 2))
+    since_ns = _reading_ns(motion, robot.gyro_rate_hz)
+    times = _seconds(since_ns, 0)
+    noise = rng.standard_normal((len(times), 2))
     rates = motion.twist_at(times)[:, 2] * (1.0 + robot.gyro_scale_error) + robot.gyro_bias_rad_s
     rates = rates + noise[:, 0] * robot.gyro_sigma_rad_s
     sigma = robot.compass_sigma_rad
     headings = motion.at(times)[:, 2] + robot.compass_bias_rad + noise[:, 1] * (sigma or 0.0)
-    yaws: list[float | None] = [None] * count if sigma is None else list(se2.wrap(headings).tolist())
-    stamps = start_ns + np.rint(times * 1e9).astype(np.int64)
-    return [Imu(t, w, yaw) for t, w, yaw in zip(stamps.tolist(), rates.tolist(), yaws, strict=True)]
+    yaws: list[float | None] = [None] * len(times) if sigma is None else list(se2.wrap(headings).tolist())
+    return [
+        Imu(t, w, yaw) for t, w, yaw in zip((start_ns + since_ns).tolist(), rates.tolist(), yaws, strict=True)
+    ]
