@@ -42,7 +42,7 @@ class LogInfo:
 
 
 class Log(Protocol):
-    """A recorded log: a context manager that yields typed messages in log order.
+    """A recorded log: a context manager that yields typed messages in log order, once.
 
     ``findings`` fills up while iterating: everything odd, dropped or repaired is counted there.
     """

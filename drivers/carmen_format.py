@@ -102,6 +102,24 @@ _FIELD_OF_VIEW_DEG: dict[int, tuple[float, float]] = {
     769: (-135.0, 0.3515625),
     1081: (-135.0, 0.25),
 }
+_URG_BEAMS, _UTM_BEAMS = (682, 683, 726, 769), 1081
+_HOKUYO_TYPE = 2  # CARMEN's laser_type of a URG
+_SICK_FOV_RAD = math.radians(185.0)
+
+
+def preset_for(fields: list[bytes], layout: ScanLayout) -> str:
+    """Name of the preset that fits a scan line. Raises ValueError for a garbled one."""
+    n_beams = int(fields[layout.count_at])
+    if n_beams in _URG_BEAMS:
+        return "urg-04lx"
+    if n_beams == _UTM_BEAMS:
+        return "utm-30lx"
+    if layout.has_geometry:
+        if int(fields[1]) == _HOKUYO_TYPE:
+            return "urg-04lx"
+        if not 0.0 < float(fields[3]) < _SICK_FOV_RAD:
+            return "generic"
+    return "sick-lms200"
 
 
 def geometry(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from drivers.base import Log, NoScans, TopicChoice
-from drivers.carmen_format import SCANS, WORDS
+from drivers.carmen_format import SCANS, WORDS, preset_for
 from drivers.text_source import TextSource
 from mfslam.config import Config
 from mfslam.types import MfslamError
@@ -108,14 +108,14 @@ def _detect_text(path: Path) -> LogKind:
 
 
 def _carmen_preset(path: Path) -> str:
-    """CARMEN does not name its laser; the number of beams does."""
+    """CARMEN does not name its laser; the number of beams, the type or the field of view does."""
     for line in TextSource(path).head(_HEAD_BYTES).splitlines():
         fields = line.split(None, 9)
         layout = SCANS.get(fields[0]) if fields else None
         if layout is None or len(fields) <= layout.count_at:
             continue
-        beams = fields[layout.count_at]
-        if beams in (b"682", b"683", b"726", b"769"):
-            return "urg-04lx"
-        return "utm-30lx" if beams == b"1081" else "sick-lms200"
+        try:
+            return preset_for(fields, layout)
+        except ValueError:
+            continue
     return "sick-lms200"
