@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mfslam import se2
-from mfslam.types import FloatArray, IntArray, MfslamError
+from mfslam.types import BoolArray, FloatArray, IntArray, MfslamError
 
 Alignment = Literal["none", "origin", "best"]
 _NS = 1_000_000_000
@@ -99,7 +99,7 @@ def read_relations(path: Path) -> Relations:
             continue
         try:
             t1, t2, x, y, _z, _roll, _pitch, yaw = (float(field) for field in fields)
-            # seconds and fraction apart: a float of 1e9 s is only good to 0.2 us, enough for the tolerance
+            # a float of 1e9 s is good to 0.2 us: far below the tolerance of the matching
             pair = (round(t1 * _NS), round(t2 * _NS))
         except (ValueError, OverflowError):
             raise MfslamError(
@@ -141,17 +141,13 @@ def relations_error(
     )
 
 
-def _nearest(
-    stamps_ns: IntArray, wanted_ns: IntArray, tolerance_s: float
-) -> tuple[IntArray, np.ndarray[Any, np.dtype[np.bool_]]]:
+def _nearest(stamps_ns: IntArray, wanted_ns: IntArray, tolerance_s: float) -> tuple[IntArray, BoolArray]:
     """Index of the pose nearest in time to each wanted stamp, and whether it is near enough."""
     if len(stamps_ns) == 0:
         return np.zeros(len(wanted_ns), dtype=np.int64), np.zeros(len(wanted_ns), dtype=np.bool_)
     order = np.argsort(stamps_ns, kind="stable")  # the log's order need not be the clock's
     ordered = stamps_ns[order]
-    right = np.clip(np.searchsorted(ordered, wanted_ns), 1, max(len(ordered) - 1, 1)).clip(
-        max=len(ordered) - 1
-    )
+    right = np.minimum(np.searchsorted(ordered, wanted_ns), len(ordered) - 1)
     left = np.maximum(right - 1, 0)
     nearer_left = np.abs(ordered[left] - wanted_ns) <= np.abs(ordered[right] - wanted_ns)
     position = np.where(nearer_left, left, right)

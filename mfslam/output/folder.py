@@ -25,8 +25,8 @@ def prepare_folder(folder: Path, overwrite: bool = False) -> None:
         if folder.exists() and not folder.is_dir():
             raise MfslamError(f"{folder}: expected a folder for the output, this is a file")
         folder.mkdir(parents=True, exist_ok=True)
-        for stale in folder.glob(f".*{PART_SUFFIX}"):
-            stale.unlink()
+        for leftover in folder.glob(f".*{PART_SUFFIX}"):  # of a run that was killed while writing
+            leftover.unlink()
         if not overwrite:
             _refuse_if_used(folder)
         probe = folder / f".probe{PART_SUFFIX}"

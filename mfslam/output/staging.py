@@ -11,7 +11,7 @@ from typing import IO, Self
 
 from mfslam.types import MfslamError
 
-PART_SUFFIX = ".part"
+PART_SUFFIX = ".mfslam-part"
 
 
 class Staging:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import resource
 from pathlib import Path
 from typing import IO
 
@@ -124,6 +125,19 @@ def test_full_disk_leaves_the_folder_as_it_was(
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
+def test_a_limit_of_the_system_on_file_size_is_one_line(result: RunResult, tmp_path: Path) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+    try:
+        with pytest.raises(
+            MfslamError, match=r"map\.pgm: cannot be written: file too large; free some space"
+        ):
+            write_run(result, config.Config(), tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not list(tmp_path.iterdir())
+
+
 def test_interrupt_while_writing_leaves_the_folder_as_it_was(
     result: RunResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -137,7 +151,7 @@ def test_interrupt_while_writing_leaves_the_folder_as_it_was(
 
 
 def test_leftovers_of_a_killed_run_are_swept(tmp_path: Path) -> None:
-    (tmp_path / ".map.pgm.part").write_bytes(b"half")
+    (tmp_path / ".map.pgm.mfslam-part").write_bytes(b"half")
     prepare_folder(tmp_path)
     assert not list(tmp_path.iterdir())
 
