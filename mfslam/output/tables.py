@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from html import escape
 from typing import Any
 
@@ -36,7 +36,7 @@ def value_text(key: str, value: Any, show_unit: bool = True) -> str:
     elif isinstance(value, int):
         text = f"{value:,}" if unit != "ns" else str(value)
     elif isinstance(value, (list, tuple)):
-        return ", ".join(value_text(key, item) for item in value)
+        return ", ".join(value_text(key, item) for item in value) or "none"
     else:
         text = str(value)
     return f"{text} {unit}".replace(" °", "°") if unit and show_unit else text
@@ -60,11 +60,7 @@ def _split(key: str) -> tuple[str, str]:
 
 
 def _is_section(value: Any) -> bool:
-    return isinstance(value, Mapping) or (
-        isinstance(value, Sequence)
-        and not isinstance(value, str)
-        and any(isinstance(v, Mapping) for v in value)
-    )
+    return isinstance(value, Mapping) or (isinstance(value, list) and bool(value) and _is_matrix(value))
 
 
 def _card(name: str, section: Any) -> str:

@@ -7,12 +7,14 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mfslam import config
 from mfslam.output import charts, summarise
 from mfslam.output.overlay import weak_edges
 from mfslam.output.report import report_html
-from mfslam.output.tables import caption, value_text
+from mfslam.output.tables import caption, section_tables, value_text
 from mfslam.types import RunResult
 
 VOID = {"meta", "input", "br"}
@@ -65,6 +67,20 @@ def test_names_from_a_log_cannot_inject_markup(result: RunResult) -> None:
 
 def test_weak_stretch_is_found_where_it_was_made(result: RunResult) -> None:
     assert [edge.i for edge in weak_edges(result.edges)] == [31, 32, 33, 34, 35]
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@given(json_values)
+def test_whatever_a_summary_holds_is_shown(value: object) -> None:
+    parser = Balance()
+    parser.feed(section_tables({"extra": value, "odometry_anomalies": [], "nested": {"inner": value}}))
+    assert parser.open == []
 
 
 def test_quantiles_over_stretches() -> None:
