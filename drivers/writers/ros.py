@@ -43,6 +43,7 @@ class RosConverter:
         self._findings = findings
         self._wheels = wheels
         self._frames: dict[tuple[str, bytes], str] = {}
+        self._slopes: dict[int, tuple[Laser, float]] = {}
         self._last_ns = 0
         self._with_seq = "seq" in types["std_msgs/msg/Header"].__dataclass_fields__
 
@@ -94,25 +95,32 @@ class RosConverter:
         return self._make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 
     def _scan(self, scan: Scan, frame: str) -> tuple[str, Any]:
-        laser = scan.laser
+        laser, ranges = scan.laser, scan.ranges_m
         step, slope_s = even_step_rad(laser), self._time_increment(laser)
-        first_ns = scan.stamp_ns + round(float(laser.offsets_s[0]) * 1e9)  # ROS: stamp of the first ray
+        angles, offsets = laser.angles_rad, laser.offsets_s
+        if slope_s < 0.0:  # the laser turns against its beams: ROS counts rays as they are sensed
+            angles, offsets, ranges = angles[::-1], offsets[::-1], ranges[::-1].copy()
+            step, slope_s = -step, -slope_s
+        first_ns = scan.stamp_ns + round(float(offsets[0]) * 1e9)  # ROS: the stamp is of the first ray
         message = self._make(
             "sensor_msgs/msg/LaserScan",
             header=self._header(first_ns, frame),
-            angle_min=float(laser.angles_rad[0]),
-            angle_max=float(laser.angles_rad[-1]),
+            angle_min=float(angles[0]),
+            angle_max=float(angles[-1]),
             angle_increment=step,
             time_increment=slope_s,
-            scan_time=abs(slope_s * 2.0 * math.pi / step),
+            scan_time=abs(slope_s * 2.0 * math.pi / step),  # one turn
             range_min=laser.range_min_m,
             range_max=laser.range_max_m,
-            ranges=scan.ranges_m,
+            ranges=ranges,
             intensities=np.zeros(0, np.float32),
         )
         return "sensor_msgs/msg/LaserScan", message
 
     def _time_increment(self, laser: Laser) -> float:
+        """Mean slope of the beams' instants over their number; counted once per laser where it is no line."""
+        if id(laser) in self._slopes:
+            return self._slopes[id(laser)][1]
         since_first = laser.offsets_s - laser.offsets_s[0]
         beam = np.arange(since_first.shape[0])
         slope = float(np.sum(since_first) / np.sum(beam))
@@ -121,6 +129,7 @@ class RosConverter:
                 "uneven-beam-times",
                 f"laser {laser.name}: beams are not evenly timed; LaserScan holds only their mean slope",
             )
+        self._slopes[id(laser)] = (laser, slope)  # keeps the laser, and so its id
         return slope
 
     def _odometry(self, stamp_ns: int, odom_T_body: FloatArray) -> tuple[str, Any]:
