@@ -66,9 +66,11 @@ def _is_plausible(told_s: float, span_rad: float, gap_s: float | None) -> bool:
     if gap_s is None:
         return told_s < 1.0
     share, fov_share = told_s / gap_s, span_rad / (2.0 * math.pi)
+    if share > _PLAUSIBLE_SHARE[1]:
+        return False
     period_s = told_s / fov_share
     return (
-        _PLAUSIBLE_SHARE[0] <= share <= _PLAUSIBLE_SHARE[1]
+        share >= _PLAUSIBLE_SHARE[0]
         or abs(share - fov_share) < _FOV_TOLERANCE * fov_share
-        or (share < 1.0 and any(abs(period_s / mirror - 1.0) < _MIRROR_TOLERANCE for mirror in _MIRRORS_S))
+        or any(abs(period_s / mirror - 1.0) < _MIRROR_TOLERANCE for mirror in _MIRRORS_S)
     )
