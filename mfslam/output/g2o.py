@@ -26,7 +26,7 @@ _FORMS = {
 
 
 @dataclass(frozen=True, eq=False)
-class PoseGraph:
+class GraphFile:
     """A pose graph as a file tells it.
 
     ``ids`` (N,) and ``world_T_pose`` (N, 3) in file order; ``fixed``: ids held where they are. Edges E:
@@ -69,7 +69,7 @@ def _numbers(values: list[float]) -> str:
     return " ".join(f"{value:.17g}" for value in values)
 
 
-def read_g2o(path: Path) -> PoseGraph:
+def read_g2o(path: Path) -> GraphFile:
     """Read a 2D g2o file strictly.
 
     Raises MfslamError with file and line: unknown tag, wrong count of fields, numbers not finite, an id
@@ -106,7 +106,7 @@ def read_g2o(path: Path) -> PoseGraph:
     pairs = np.array(ends, dtype=np.int64).reshape(-1, 2)
     information = _symmetric(table[:, 3:])
     _check_information(path, information, lines)
-    return PoseGraph(
+    return GraphFile(
         np.fromiter(ids, dtype=np.int64, count=len(ids)),
         np.array(poses, dtype=np.float64),
         frozenset(fixed),

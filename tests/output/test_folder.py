@@ -14,7 +14,7 @@ import pytest
 from plyfile import PlyData
 
 from mfslam import config
-from mfslam.output import PoseGraph, ply, prepare_folder, read_g2o, read_map, read_tum, write_run
+from mfslam.output import GraphFile, ply, prepare_folder, read_g2o, read_map, read_tum, write_run
 from mfslam.types import Edge, Findings, MfslamError, OccupancyGrid, PointCloud, RunResult
 
 FILES = {
@@ -45,7 +45,7 @@ def test_what_was_written_reads_back(result: RunResult, tmp_path: Path) -> None:
     stamps_ns, poses = read_tum(folder / "trajectory.tum")
     np.testing.assert_array_equal(stamps_ns, result.stamps_ns)  # log order, also where stamps go backwards
     np.testing.assert_allclose(poses, result.world_T_body, atol=1e-9)
-    graph: PoseGraph = read_g2o(folder / "graph.g2o")
+    graph: GraphFile = read_g2o(folder / "graph.g2o")
     np.testing.assert_array_equal(graph.world_T_pose, result.world_T_body[result.keyframes])
     grid = read_map(folder / "map.yaml")
     np.testing.assert_array_equal(grid.occupancy, result.grid.occupancy)
