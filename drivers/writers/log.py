@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -50,8 +51,9 @@ def write_log(
             if path.is_dir():
                 shutil.rmtree(path)
             written.replace(path)
-    except OSError as error:
-        raise MfslamError(f"{path}: cannot be written: {error.strerror or error}") from None
+    except (OSError, sqlite3.Error) as error:  # a full disk, for one
+        reason = getattr(error, "strerror", None) or error
+        raise MfslamError(f"{path}: cannot be written: {reason}") from None
     return findings
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -54,5 +55,6 @@ def _write(path: Path, lines: list[str]) -> None:
         aside.write_text("".join(lines), encoding="ascii")
         aside.replace(path)
     except OSError as error:
-        aside.unlink(missing_ok=True)
+        with suppress(OSError):
+            aside.unlink()
         raise MfslamError(f"{path}: cannot be written: {error.strerror or error}") from None

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from drivers.simulator import Motion, RobotModel, World, laser_model, load_world, parse_world, simulate
 from drivers.simulator.simulate import cast_scans
 from mfslam import se2
+from mfslam.config import DeskewConfig
+from mfslam.deskew import deskew
 
 ROOM = "wall -3 -2 5 -2 5 4 -3 4 -3 -2\n"
 STILL = Motion.from_twists([1.0], [[0.0, 0.0, 0.0]])
@@ -84,6 +86,22 @@ def test_deskew_with_the_true_motion_puts_every_beam_on_a_wall(name):
     for scan, instant in zip(run.scans, run.instants_s, strict=True):
         ranges = scan.ranges_m.astype(np.float64)
         points = end_points(ranges, scan.laser, FAST_TURN, instant + scan.laser.offsets_s)
+        assert np.max(distance_to_walls(points, world)) < 1e-6
+
+
+@pytest.mark.parametrize("name", ["urg-04lx", "sick-lms291", "rplidar-a2", "fast"])
+def test_the_engine_s_deskew_puts_simulated_scans_on_the_walls(name):
+    """Scan and true twist in, points on the true walls out: the engine and the simulator agree."""
+    laser = ideal(name, (0.2, -0.05, 0.3))
+    world = parse_world(ROOM + "box 0 3 1 0.5 20\n")
+    twist = np.array([2.5, 0.0, -1.8])
+    motion = Motion.from_twists([0.9], [twist], [-1.0, 0.0, 1.0])
+    run = simulate(world, RobotModel(odometry="none"), laser, motion=motion)
+    for scan in run.scans:
+        moved = deskew(scan, twist, DeskewConfig())
+        assert len(moved.points_m) > 100
+        world_T_body = run.truth_at(np.array(moved.reference_ns))
+        points = se2.transform(world_T_body, moved.points_m)
         assert np.max(distance_to_walls(points, world)) < 1e-6
 
 

@@ -311,3 +311,13 @@ def test_two_lasers_get_two_topics(tmp_path):
         counts = {c.topic: c.msgcount for c in bag.connections}
     assert counts["/scan"] == counts["/scan_2"] == len(log.scans)
     assert counts["/tf_static"] == 2
+
+
+@pytest.mark.parametrize("name", ["log.clf", "log.db3", "log.mcap"])
+def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path, name):
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(MfslamError, match="cannot be written"):
+        write_log(simulated().messages, tmp_path / "file" / name)
+    with pytest.raises(MfslamError, match="cannot be written"):
+        write_tum(tmp_path / "file" / "truth.tum", np.zeros(1, np.int64), np.zeros((1, 3)))
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
