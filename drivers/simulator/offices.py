@@ -19,7 +19,7 @@ def random_office(seed: int, rooms_per_side: int = 5, laps: int = 1, speed_m_s: 
 def random_office_text(
     seed: int, rooms_per_side: int = 5, laps: int = 1, speed_m_s: float = 1.0, people: int = 1
 ) -> str:
-    """The same as world text, to write to a file. One floor is about 25 m of driving per room."""
+    """The same as world text, to write to a file. A lap is about 15 m of driving per room."""
     if rooms_per_side < 1 or laps < 1 or speed_m_s <= 0.0:
         raise ValueError(f"expected rooms, laps and speed above 0: {rooms_per_side}, {laps}, {speed_m_s}")
     rng = np.random.default_rng(seed)
