@@ -78,6 +78,7 @@ class RosBagLog:
                 other = self._other(topic, stamp_ns, message)
                 if other is not None:
                     yield other
+        self._reader.last_bag_time_ns = self._reader.end_ns
         if not n_scans:
             raise NoScans(
                 f"{self.info.path}: no usable scan in {found.scan_topic}: none has two beams or more"
