@@ -18,7 +18,7 @@ from drivers.laser_models import clean_ranges, laser_from
 from drivers.stamp_watch import StampWatch
 from drivers.text_source import NumberCache, TextSource, stamp_ns
 from mfslam.config import Config
-from mfslam.types import Findings, FloatArray, Laser, Message, Odometry, Scan
+from mfslam.types import Findings, FloatArray, Laser, Message, MfslamError, Odometry, Scan
 
 
 class CarmenLog:
@@ -28,6 +28,10 @@ class CarmenLog:
     """
 
     def __init__(self, path: Path, config: Config, topics: TopicChoice | None = None) -> None:
+        if topics is not None and any((topics.odometry, topics.imu, topics.wheels)):
+            raise MfslamError(
+                f"{path}: in a CARMEN log only a scan's name can be chosen (FLASER, RLASER, ...)"
+            )
         self.findings = Findings()
         self._sensor = config.sensor
         self._source = TextSource(path)

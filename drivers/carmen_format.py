@@ -88,13 +88,15 @@ def split_scan(fields: list[bytes], layout: ScanLayout) -> ScanFields:
 # beams -> bearing of the first, step (degrees), where the format does not tell; SICK leaves out the last
 # beam when the number is even
 _FIELD_OF_VIEW_DEG: dict[int, tuple[float, float]] = {
+    101: (-50.0, 1.0),
+    201: (-50.0, 0.5),
+    401: (-50.0, 0.25),
     90: (-90.0, 2.0),
     91: (-90.0, 2.0),
     180: (-90.0, 1.0),
     181: (-90.0, 1.0),
     360: (-90.0, 0.5),
     361: (-90.0, 0.5),
-    401: (-50.0, 0.25),
     541: (-135.0, 0.5),
     682: (-119.53125, 0.3515625),
     683: (-119.8828125, 0.3515625),
@@ -102,7 +104,7 @@ _FIELD_OF_VIEW_DEG: dict[int, tuple[float, float]] = {
     769: (-135.0, 0.3515625),
     1081: (-135.0, 0.25),
 }
-_URG_BEAMS, _UTM_BEAMS = (682, 683, 726, 769), 1081
+_URG_BEAMS, _UTM_BEAMS, _LMS1XX_BEAMS = (682, 683, 726, 769), 1081, 541
 _HOKUYO_TYPE = 2  # CARMEN's laser_type of a URG
 _SICK_FOV_RAD = math.radians(185.0)
 
@@ -114,6 +116,8 @@ def preset_for(fields: list[bytes], layout: ScanLayout) -> str:
         return "urg-04lx"
     if n_beams == _UTM_BEAMS:
         return "utm-30lx"
+    if n_beams == _LMS1XX_BEAMS:
+        return "generic"  # half a degree from a mirror of 25 or 50 Hz: which, the log does not say
     if layout.has_geometry:
         if int(fields[1]) == _HOKUYO_TYPE:
             return "urg-04lx"

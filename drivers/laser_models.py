@@ -43,7 +43,7 @@ def laser_from(sensor: SensorConfig, told: LogGeometry, *, name: str | None = No
     """
     angles = beam_angles(sensor, told)
     return Laser(
-        name=name or sensor.name,
+        name=_name(sensor, name),
         angles_rad=-angles if sensor.upside_down or told.upside_down else angles,
         offsets_s=beam_offsets(sensor, told, angles),
         range_min_m=max(sensor.range_min_m or 0.0, told.range_min_m or 0.0),
@@ -51,6 +51,12 @@ def laser_from(sensor: SensorConfig, told: LogGeometry, *, name: str | None = No
         range_sigma_m=sensor.range_sigma_m,
         body_T_laser=mount(sensor, told.body_T_laser),
     )
+
+
+def _name(sensor: SensorConfig, in_log: str | None) -> str:
+    if in_log is None or sensor.name == "generic":
+        return in_log or sensor.name
+    return f"{in_log} ({sensor.name})"
 
 
 def beam_angles(sensor: SensorConfig, told: LogGeometry) -> FloatArray:

@@ -12,13 +12,13 @@ import numpy as np
 
 from drivers.base import LogInfo, NoScans, TopicChoice
 from drivers.laser_models import LogGeometry, clean_ranges, laser_from
-from drivers.ros_messages import header_stamp_ns, imu_of, odometry_of, ranges_of, wheel_angles_of
+from drivers.ros_messages import header_stamp_ns, imu_of, odometry_of, ranges_of, step_rad, wheel_angles_of
 from drivers.ros_reader import BagReader
 from drivers.ros_survey import BagSurvey, survey
 from drivers.ros_transforms import frame_name, yaw_of
 from drivers.stamp_watch import StampWatch
 from mfslam.config import Config
-from mfslam.types import Findings, Laser, Message, Scan
+from mfslam.types import Findings, FloatArray, Laser, Message, Scan
 
 _MAX_RANGE_M = 1e4  # a range_max beyond this says nothing
 
@@ -41,6 +41,7 @@ class RosBagLog:
             self._reader.close()
             raise
         self._lasers: dict[tuple[Any, ...], Laser] = {}
+        self._body_R_imu: dict[str, FloatArray] = {}
         self._latest: tuple[Laser, Scan] | None = None
         self.info = LogInfo(path, kind, _details(self._reader, self._found))
 
@@ -129,7 +130,7 @@ class RosBagLog:
         told = LogGeometry(
             n_beams,
             float(message.angle_min),
-            float(message.angle_increment),
+            step_rad(message),
             turn_period_s=self._found.turn_period_s,
             range_min_m=range_min if 0.0 < range_min < _MAX_RANGE_M else None,
             range_max_m=range_max if max(0.0, range_min) < range_max < _MAX_RANGE_M else None,
@@ -151,9 +152,11 @@ class RosBagLog:
         return self._count_unusable(out, topic, stamp_ns)
 
     def _imu(self, stamp_ns: int, message: Any) -> Message | None:
-        body_T_imu = self._found.tree.find(self._found.body_frame, message.header.frame_id)
-        body_R_imu = np.eye(3) if body_T_imu is None else body_T_imu[:3, :3]
-        return self._count_unusable(imu_of(stamp_ns, message, body_R_imu), "imu", stamp_ns)
+        frame = message.header.frame_id
+        if frame not in self._body_R_imu:
+            body_T_imu = self._found.tree.find(self._found.body_frame, frame)
+            self._body_R_imu[frame] = np.eye(3) if body_T_imu is None else body_T_imu[:3, :3]
+        return self._count_unusable(imu_of(stamp_ns, message, self._body_R_imu[frame]), "imu", stamp_ns)
 
     def _count_unusable(self, message: Message | None, topic: str, stamp_ns: int) -> Message | None:
         if message is None:

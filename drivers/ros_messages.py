@@ -18,6 +18,12 @@ def header_stamp_ns(message: Any) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
+def step_rad(scan: Any) -> float:
+    """Bearing between beams; from the ends where the publisher left it empty."""
+    told = float(scan.angle_increment)
+    return told or float(scan.angle_max - scan.angle_min) / max(1, len(scan.ranges) - 1)
+
+
 def ranges_of(message: Any) -> Float32Array:
     """Ranges of a LaserScan, or the first echoes of a MultiEchoLaserScan; a copy."""
     if len(message.ranges) and hasattr(message.ranges[0], "echoes"):

@@ -13,7 +13,7 @@ from rosbags.interfaces import Connection
 from drivers import ros_topics
 from drivers.base import NoScans, TopicChoice
 from drivers.beam_timing import ScanTiming, median_gap_s, turn_period_s
-from drivers.ros_messages import header_stamp_ns, wheel_joints
+from drivers.ros_messages import header_stamp_ns, step_rad, wheel_joints
 from drivers.ros_reader import BagReader
 from drivers.ros_transforms import TransformTree, frame_name
 from mfslam.config import Config
@@ -109,7 +109,7 @@ def _find_body(reader: BagReader, found: BagSurvey, config: Config, findings: Fi
     if config.sensor.turn_period_s is None and scans:
         timing = ScanTiming(
             n_beams=int(np.median([len(s.ranges) for s in scans])),
-            angle_step_rad=float(np.median([s.angle_increment for s in scans])),
+            angle_step_rad=float(np.median([step_rad(s) for s in scans])),
             time_increment_s=float(np.median([s.time_increment for s in scans])),
             gap_s=median_gap_s([header_stamp_ns(s) for s in scans]) or _bag_gap_s(reader, found.scan_topic),
         )

@@ -46,7 +46,7 @@ def test_field_of_view_follows_from_the_number_of_beams(tmp_path, count, first_d
 
 
 def test_unknown_number_of_beams_is_taken_as_half_a_turn_and_said(tmp_path):
-    messages, log = read(tmp_path / "a.log", [flaser(k, [1.0] * 201, (k, 0, 0)) for k in (1, 2)])
+    messages, log = read(tmp_path / "a.log", [flaser(k, [1.0] * 203, (k, 0, 0)) for k in (1, 2)])
     assert np.degrees(scans_of(messages)[0].laser.angles_rad[[0, -1]]) == pytest.approx([-90, 90])
     assert log.findings.count("field-of-view-guessed") == 1
 

@@ -140,6 +140,11 @@ def test_clockwise_beams(tmp_path):
     assert np.all(np.diff(laser.angles_rad) < 0) and np.all(np.diff(laser.offsets_s) > 0)
 
 
+def test_empty_angle_increment_follows_from_the_ends(tmp_path):
+    messages, _ = read(tmp_path, scans(3, angle_min=-1.0, angle_max=1.0, angle_increment=0.0))
+    np.testing.assert_allclose(only_scans(messages)[0].laser.angles_rad, np.linspace(-1, 1, 360), atol=1e-6)
+
+
 def test_mount_through_a_chain_from_the_odometry_child_frame(tmp_path):
     entries = [
         ("/tf_static", TF, MAKE.transform("base_footprint", "base_link", (0, 0, 0.1)), T0),
