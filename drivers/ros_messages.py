@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.ros_transforms import pose_matrix, rotation, yaw_of
+from drivers.ros_transforms import heading, rotation, yaw_of
 from mfslam.config import WheelsConfig
 from mfslam.types import Float32Array, FloatArray, Imu, Odometry, WheelAngles
 
@@ -33,10 +33,10 @@ def ranges_of(message: Any) -> Float32Array:
 
 
 def odometry_of(stamp_ns: int, position: Any, orientation: Any) -> Odometry | None:
-    matrix = pose_matrix(position, orientation)
-    if matrix is None:
+    yaw = heading(orientation)
+    if yaw is None or not math.isfinite(position.x + position.y):
         return None
-    return Odometry(stamp_ns, np.array([matrix[0, 3], matrix[1, 3], yaw_of(matrix)]))
+    return Odometry(stamp_ns, np.array([position.x, position.y, yaw]))
 
 
 def imu_of(stamp_ns: int, message: Any, body_R_imu: FloatArray) -> Imu | None:

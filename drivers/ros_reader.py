@@ -61,6 +61,10 @@ class BagReader:
             try:
                 connection, time_ns, raw = next(source)
             except StopIteration:
+                missing = sum(c.msgcount for c in connections) - n_read
+                if missing > 0:
+                    text = "message that the bag's index counts is not in the bag"
+                    self._findings.add("messages-missing", text, self.path.name, missing)
                 return
             except Exception as error:
                 if not n_read:

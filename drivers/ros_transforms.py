@@ -39,6 +39,14 @@ def yaw_of(matrix: FloatArray) -> float:
     return math.atan2(matrix[1, 0], matrix[0, 0])
 
 
+def heading(quaternion: Any) -> float | None:
+    """As `yaw_of` of the `rotation`, without the matrix: for odometry, which comes often."""
+    w, x, y, z = quaternion.w, quaternion.x, quaternion.y, quaternion.z
+    if not 0.81 < w * w + x * x + y * y + z * z < 1.21:
+        return None
+    return math.atan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z)
+
+
 def pose_matrix(position: Any, orientation: Any) -> FloatArray | None:
     """(4, 4) from a message's position and quaternion; None when it is not finite or not a rotation."""
     turn = rotation(orientation)

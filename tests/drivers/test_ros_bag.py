@@ -7,10 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from ros_bags import TF, Entry, Make, write_bag
 
 from drivers.base import Log, NoScans, TopicChoice
 from drivers.logs import detect, open_log
+from drivers.ros_transforms import heading, rotation, yaw_of
 from mfslam.config import Config, load
 from mfslam.types import Imu, Message, MfslamError, Odometry, Scan, WheelAngles
 
@@ -256,6 +259,15 @@ def test_imu_upside_down_turns_its_rate(tmp_path):
     )
     (imu,) = [m for m in read(tmp_path, entries)[0] if isinstance(m, Imu)]
     assert imu.yaw_rate_rad_s == pytest.approx(-0.25)
+
+
+@given(st.floats(-3, 3), st.floats(-1.5, 1.5), st.floats(-3, 3), st.floats(0.95, 1.05))
+def test_heading_of_a_quaternion_is_that_of_its_matrix(roll, pitch, yaw, length):
+    q = MAKE.quaternion(roll, pitch, yaw)
+    scaled = type(q)(x=q.x * length, y=q.y * length, z=q.z * length, w=q.w * length)
+    matrix = rotation(scaled)
+    assert matrix is not None and matrix @ matrix.T == pytest.approx(np.eye(3))
+    assert heading(scaled) == pytest.approx(yaw_of(matrix)) == pytest.approx(yaw)
 
 
 def test_bad_odometry_is_counted(tmp_path):
