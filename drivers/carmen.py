@@ -128,7 +128,10 @@ class CarmenLog:
     def _new_laser(self, fields: list[bytes], n_beams: int, line_number: int) -> Laser:
         told = geometry(fields, self._layout, n_beams, self.findings, self._source.where(line_number))
         if self._sensor.turn_period_s is None:
-            text = "CARMEN does not tell how fast the laser turns: each scan is taken as a snapshot; set sensor.turn_period_s or choose a preset"
+            text = (
+                "CARMEN does not tell how fast the laser turns: each scan is taken as a snapshot; "
+                "set sensor.turn_period_s or choose a preset"
+            )
             self._count("turn-period-unknown", text, line_number)
         limits = [m for m in (told.range_max_m, self._range_max_m) if m is not None and m > 0.0]
         told = replace(told, range_max_m=min(limits, default=None), body_T_laser=self._mount)

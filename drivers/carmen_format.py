@@ -3,12 +3,13 @@
 | message | fields |
 | --- | --- |
 | FLASER, RLASER | n, n ranges, laser pose, odometry pose |
-| ROBOTLASER1, 2 | type, start angle, field of view, resolution, maximum range, accuracy, remission mode, n, n ranges, m, m remissions, laser pose, robot pose, tv, rv, forward and side safety distance, turn axis |
-| RAWLASER1 ... 5 | as ROBOTLASER up to the remissions |
+| ROBOTLASER1, 2 | HEAD, laser pose, robot pose, tv, rv, forward and side safety distance, turn axis |
+| RAWLASER1 ... 5 | HEAD |
 | ODOM | pose, tv, rv, acceleration |
 | PARAM | name, value |
 
-Each ends with the ipc timestamp (s), the host and the logger's timestamp. Metres and radians; poses are
+HEAD: type, start angle, field of view, resolution, maximum range, accuracy, remission mode, n, n ranges, m,
+m remissions. Each ends with the ipc timestamp (s), the host and the logger's timestamp. Metres and radians; poses are
 x, y, theta in the odometry frame. The first timestamp is the message's own.
 """
 
