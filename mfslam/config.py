@@ -162,39 +162,28 @@ class LoopsConfig(_Stage):
 
     use: bool = Field(True, description="Close loops.")
     every_m: float = Field(1.0, gt=0, description="A search at least every so far driven, m.")
-    min_travel_m: float = Field(
-        8.0, gt=0, description="Places left less than this ago are no loop, m driven."
-    )
+    min_travel_m: float = Field(8.0, gt=0, description="Places left less than this ago are no loop, m driven.")
     segment_m: float = Field(6.0, gt=0, description="Path whose scans are merged into one place, m.")
-    reach_m: float = Field(
-        6.0, gt=0, description="Places farther than this plus the uncertainty are not tried, m."
-    )
-    window_sigmas: float = Field(
-        3.0, gt=0, description="Half window of the search, in sigmas of the prediction."
-    )
+    reach_m: float = Field(8.0, gt=0, description="Two places may overlap when this near, m.")
+    window_sigmas: float = Field(3.0, gt=0, description="Half window of the search, in sigmas of the prediction.")
     min_window_m: float = Field(0.5, gt=0, description="Half window at least, m.")
-    max_window_m: float = Field(20.0, gt=0, description="Half window at most, m.")
-    max_places: int = Field(8, ge=1, description="Places tried in one search.")
-    min_score: float = Field(
-        0.45, gt=0, lt=1, description="Correlative score below which there is no candidate."
+    max_places: int = Field(40, ge=1, description="Places tried in one search.")
+    max_near_places: int = Field(5, ge=1, description="Places tried in one search while the position is sure.")
+    min_score: float = Field(0.35, gt=0, lt=1, description="Correlative score below which there is no candidate.")
+    min_inlier_ratio: float = Field(
+        0.4, gt=0, lt=1, description="Share of the commonly seen points that must fit closely."
     )
-    min_inlier_ratio: float = Field(0.7, gt=0, lt=1, description="Share of matched points that a loop needs.")
     min_agreement: float = Field(
-        0.9,
-        gt=0,
-        lt=1,
-        description="Share of commonly seen points that must not lie in the other's free space.",
+        0.85, gt=0, lt=1, description="Share of commonly seen points that must not lie in the other's free space."
     )
-    min_coverage: float = Field(
-        0.4, gt=0, lt=1, description="Share of a place that the other must have seen."
-    )
+    min_coverage: float = Field(0.4, gt=0, lt=1, description="Share of a place that the other must have seen.")
     ambiguous_score: float = Field(
-        0.93,
-        gt=0,
-        le=1,
-        description="A runner-up elsewhere in the window with this share of the best score makes it ambiguous.",
+        0.9, gt=0, le=1, description="A runner-up elsewhere with this share of the best score makes it ambiguous."
     )
-    lone_window_m: float = Field(1.0, gt=0, description="In wider windows several loops must agree, m.")
+    wide_window_m: float = Field(1.5, gt=0, description="In wider windows several loops must agree, m.")
+    wide_inlier_ratio: float = Field(0.5, gt=0, lt=1, description="min_inlier_ratio in wide windows.")
+    wide_agreement: float = Field(0.9, gt=0, lt=1, description="min_agreement in wide windows.")
+    wide_every_m: float = Field(2.0, gt=0, description="A search in wide windows at most every so far driven, m.")
     partners: int = Field(2, ge=0, description="Loops that must agree with a new one from a wide window.")
 
 
@@ -213,6 +202,17 @@ class GraphConfig(_Stage):
     gate_probability: float = Field(
         0.999, gt=0, lt=1, description="A loop must lie inside this quantile of the joint marginal."
     )
+
+
+class RefineConfig(_Stage):
+    """The second pass over the keyframes, from the optimised trajectory."""
+
+    passes: int = Field(2, ge=0, description="Rounds of deskewing, matching and solving again.")
+    successive: int = Field(3, ge=1, description="Previous keyframes that each one is matched with.")
+    others: int = Field(5, ge=0, description="Keyframes of other passes by the same spot that each one is matched with.")
+    radius_m: float = Field(3.0, gt=0, description="How near those must be, m.")
+    search_radius_m: float = Field(0.25, gt=0, description="Partners are sought this far at the start, m.")
+    min_inlier_ratio: float = Field(0.4, gt=0, lt=1, description="Share of matched points that a pair needs.")
 
 
 class MapConfig(_Stage):
@@ -240,6 +240,7 @@ class Config(_Stage):
     frontend: FrontendConfig = FrontendConfig()
     loops: LoopsConfig = LoopsConfig()
     graph: GraphConfig = GraphConfig()
+    refine: RefineConfig = RefineConfig()
     map: MapConfig = MapConfig()
 
 

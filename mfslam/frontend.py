@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mfslam import icp
+from mfslam import icp, se2
 from mfslam.config import Config
 from mfslam.deskew import deskew
 from mfslam.kernels import cells, poses
@@ -19,6 +19,25 @@ from mfslam.types import DeskewedScan, FloatArray, Match, Scan
 
 SURPRISE_GATE = 3.0  # sigmas
 MATCH_SIGMAS = np.array([0.01, 0.01, 0.005])  # of one match, beside those of the wheels (m, m, rad)
+SEARCHED_SIGMAS = np.array([0.3, 0.3, 0.2])  # a searched pose holds only what the scan leaves open
+MAX_ACCELERATION = np.array([2.0, 0.5, 4.0])  # of a robot whose wheels are not known (m/s^2, rad/s^2)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PredictedMotion:
+    """What is known of the motion before a scan is matched.
+
+    ``twist`` (3,): body velocity during the scan. ``dt_s``: time since the previous scan. ``step`` (3,):
+    wheel motion since the previous scan; None without wheels. ``turn_rad``: the gyro's turn since then.
+    """
+
+    twist: FloatArray
+    dt_s: float
+    step: FloatArray | None = None
+    turn_rad: float | None = None
+
+
+NOTHING_KNOWN = PredictedMotion(np.zeros(3), 0.0)
 
 
 @dataclass(eq=False, slots=True)
@@ -37,6 +56,7 @@ class Step:
     local_T_body: FloatArray
     match: Match | None
     is_keyframe: bool
+    twist: FloatArray
     searched: bool = False
     odometry_jump: bool = False
 
@@ -54,29 +74,40 @@ class Frontend:
     wheels_since_keyframe: FloatArray = field(default_factory=lambda: np.zeros(3))
     wheels_trusted: bool = True
 
-    def process(self, index: int, scan: Scan, wheel_step: FloatArray | None, twist: FloatArray) -> Step:
-        """``wheel_step`` (3,): wheel motion since the previous scan, None when there are no wheels."""
+    def process(self, index: int, scan: Scan, motion: PredictedMotion) -> Step:
+        """Place one scan in the local frame."""
         config = self.config
+        twist = motion.twist
         cloud = deskew(scan, twist, config.deskew, config.icp.point_spacing_m)
         if self.reference is None:
             self._add_keyframe(index, cloud)
-            return Step(self.local_T_body, None, True)
-        predicted_step = self.last_step if wheel_step is None else wheel_step
-        guess = poses.compose(self.local_T_body, predicted_step)
-        self.wheels_since_keyframe = poses.compose(self.wheels_since_keyframe, predicted_step)
-        match = self._match(scan, cloud, guess, with_wheels=self.wheels_trusted)
+            return Step(self.local_T_body, None, True, twist)
+        predicted = self.last_step if motion.step is None else motion.step
+        if motion.turn_rad is not None:
+            predicted = np.array([predicted[0], predicted[1], motion.turn_rad])
+        guess = poses.compose(self.local_T_body, predicted)
+        self.wheels_since_keyframe = poses.compose(self.wheels_since_keyframe, predicted)
+        self.wheels_trusted = self.wheels_trusted and motion.step is not None
+        match = self._match(scan, cloud, guess, motion)
         step = poses.between(self.local_T_body, match.ref_T_src)
-        surprise = self._surprise(predicted_step, step)
+        surprise = self._surprise(predicted, step, motion)
         searched = False
         if match.inlier_ratio < config.frontend.min_inlier_ratio or surprise > SURPRISE_GATE:
             better = self._search(scan, cloud, guess, match)
             if better is not None:
                 match, searched = better, True
                 step = poses.between(self.local_T_body, match.ref_T_src)
-                surprise = self._surprise(predicted_step, step)
-        jump = wheel_step is not None and surprise > SURPRISE_GATE
+                surprise = self._surprise(predicted, step, motion)
+        jump = motion.step is not None and surprise > SURPRISE_GATE
         if jump:
             self.wheels_trusted = False
+        if (motion.step is None or jump) and motion.dt_s > 0.0 and config.deskew.mode != "none":
+            # nobody told the motion within the scan: take it from the match itself, and match again
+            twist = se2.log(step) / max(motion.dt_s, 0.02)
+            cloud = deskew(scan, twist, config.deskew, config.icp.point_spacing_m)
+            again = self._match(scan, cloud, match.ref_T_src, motion, free=True)
+            if again.inlier_ratio > match.inlier_ratio - 0.05:
+                match, step = again, poses.between(self.local_T_body, again.ref_T_src)
         self.local_T_body, self.last_step = match.ref_T_src, step
         moved = poses.between(self.recent[-1].local_T_body, self.local_T_body)
         is_keyframe = (
@@ -85,26 +116,34 @@ class Frontend:
         )
         if is_keyframe:
             self._add_keyframe(index, cloud)
-        return Step(self.local_T_body, match, is_keyframe, searched, jump)
+        return Step(self.local_T_body, match, is_keyframe, twist, searched, jump)
 
-    def _surprise(self, predicted_step: FloatArray, step: FloatArray) -> float:
+    def _surprise(self, predicted: FloatArray, step: FloatArray, motion: PredictedMotion) -> float:
         """How far a step lies from its prediction, in sigmas of the worst direction."""
-        error = poses.between(predicted_step, step)
-        sigmas = 2.0 * step_sigmas(predicted_step, self.config.odometry) + MATCH_SIGMAS
+        error = poses.between(predicted, step)
+        sigmas = MATCH_SIGMAS + (
+            free_motion_sigmas(motion.dt_s)
+            if motion.step is None
+            else 2.0 * step_sigmas(predicted, self.config.odometry)
+        )
         return float(np.max(np.abs(error) / sigmas))
 
-    def _match(self, scan: Scan, cloud: DeskewedScan, guess: FloatArray, with_wheels: bool) -> Match:
-        """ICP from ``guess``; the wheels' motion since the keyframe holds what the scan leaves open."""
+    def _match(
+        self, scan: Scan, cloud: DeskewedScan, guess: FloatArray, motion: PredictedMotion, free: bool = False
+    ) -> Match:
+        """ICP from ``guess``; what the scan leaves open is held by the wheels' motion since the keyframe,
+        or, without wheels, by inertia. ``free``: by hardly anything, for a guess that was searched."""
         assert self.reference is not None
-        prior = prior_information = None
-        if with_wheels:
+        if free:
+            prior, sigmas = guess, SEARCHED_SIGMAS
+        elif self.wheels_trusted:
             prior = poses.compose(self.recent[-1].local_T_body, self.wheels_since_keyframe)
-            prior_information = np.diag(
-                1.0 / step_sigmas(self.wheels_since_keyframe, self.config.odometry) ** 2
-            )
+            sigmas = step_sigmas(self.wheels_since_keyframe, self.config.odometry)
+        else:
+            prior, sigmas = guess, free_motion_sigmas(motion.dt_s)
         return icp.register(
             self.reference, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m,
-            self.config.icp, prior, prior_information,
+            self.config.icp, prior, np.diag(sigmas**-2),
         )  # fmt: skip
 
     def _search(self, scan: Scan, cloud: DeskewedScan, guess: FloatArray, match: Match) -> Match | None:
@@ -126,7 +165,7 @@ class Frontend:
                 0.4,
             )
             if score > 0.0:
-                better = self._match(scan, cloud, found, with_wheels=False)
+                better = self._match(scan, cloud, found, NOTHING_KNOWN, free=True)
                 if better.inlier_ratio > match.inlier_ratio + margin:
                     return better
             if match.inlier_ratio >= config.min_inlier_ratio:
@@ -141,6 +180,11 @@ class Frontend:
         self.wheels_trusted = True
         self.reference = merged_surface(list(self.recent))
         self.place = None
+
+
+def free_motion_sigmas(dt_s: float) -> FloatArray:
+    """One-sigma change (3,) of the next step of a robot that nobody watches: inertia bounds it."""
+    return 0.02 + 0.5 * MAX_ACCELERATION * min(max(dt_s, 0.02), 2.0) ** 2
 
 
 def merged_surface(keyframes: list[Keyframe]) -> cells.CellTable:

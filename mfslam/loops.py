@@ -17,7 +17,13 @@ from mfslam.places import Place, PlaceMemory
 from mfslam.search import search
 from mfslam.types import Edge, FloatArray, Match
 
-CHI2_3DOF = {0.99: 11.34, 0.999: 16.27}
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An old keyframe worth a search, and how far to look about the predicted pose."""
+
+    keyframe: int
+    window_m: float
+    window_rad: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -28,6 +34,7 @@ class Loop:
     j: int
     match: Match
     window_m: float
+    score: float
 
     def edge(self) -> Edge:
         return Edge("loop", self.i, self.j, self.match.ref_T_src, self.match.information)
@@ -50,12 +57,13 @@ class LoopCloser:
     def __init__(self, config: Config, keyframes: list[Keyframe]) -> None:
         self.config = config.loops
         self.icp_config = config.icp
-        self.gate = config.graph.gate_probability
+        self.gate_chi2 = chi2_quantile(config.graph.gate_probability)
         self.keyframes = keyframes
         self.travel_m: list[float] = []
         self.statistics = LoopStatistics()
         self._memory = PlaceMemory(keyframes)
         self._last_search_m = 0.0
+        self._last_wide_m = -math.inf
         self._waiting: list[Loop] = []
 
     def add_keyframe(self) -> None:
@@ -74,7 +82,7 @@ class LoopCloser:
         world_T_body: FloatArray,
         edges: list[Edge],
         relative_covariance: Callable[[int, int], FloatArray],
-        sigma_m: float,
+        range_sigma_m: float,
     ) -> list[Loop]:
         """Loops of the newest keyframe that are to be believed. ``world_T_body`` (K, 3): the estimate."""
         self.statistics.searches += 1
@@ -83,27 +91,24 @@ class LoopCloser:
         candidates = self._candidates(j, world_T_body, edges)
         if not candidates:
             return []
-        members = self._members(j, trailing=True)
-        query = Place.of(self.keyframes, members, j)
-        believed: list[Loop] = []
-        for i, window_m, window_rad in candidates:
+        query = Place.of(self.keyframes, self._members(j, trailing=True), j)
+        found = []
+        for candidate in candidates:
             self.statistics.places_tried += 1
-            place, search_map = self._memory.at(self._members(i, trailing=False), i)
-            guess = poses.between(world_T_body[place.anchor], world_T_body[j])
-            loop = self._verify(place, search_map, query, guess, window_m, window_rad, sigma_m)
-            if loop is None:
-                continue
-            if self._passes_gate(loop, world_T_body, relative_covariance):
-                believed += self._with_partners(loop)
+            loop = self._match(candidate, query, world_T_body, range_sigma_m)
+            if loop is not None:
+                found.append(loop)
+        believed: list[Loop] = []
+        for loop in self._unambiguous(found, world_T_body):
+            inside = self._passes_gate(loop, world_T_body, relative_covariance)
+            believed += self._with_partners(loop, inside)
         self.statistics.accepted += len(believed)
         return believed
 
     # --- candidates ---------------------------------------------------------------------------------
 
-    def _candidates(
-        self, j: int, world_T_body: FloatArray, edges: list[Edge]
-    ) -> list[tuple[int, float, float]]:
-        """(keyframe, half window in m, in rad) of old places within reach, the surest first."""
+    def _candidates(self, j: int, world_T_body: FloatArray, edges: list[Edge]) -> list[Candidate]:
+        """Old places that the newest keyframe may see, the nearest first."""
         config = self.config
         travel = np.array(self.travel_m)
         old = travel < travel[j] - config.min_travel_m
@@ -112,26 +117,30 @@ class LoopCloser:
         variances = reach.relative_sigmas(j, world_T_body, *adjacency(len(travel), edges))
         sigma = np.sqrt(variances[:, 0])
         distance = np.hypot(*(world_T_body[:, :2] - world_T_body[j, :2]).T)
-        near = old & (distance < config.reach_m * 0.5 + config.window_sigmas * sigma) & (
-            config.window_sigmas * sigma < 2.0 * config.max_window_m
-        )
-        # one place per half segment of path, its nearest keyframe; passes by the same spot count apart
-        half = config.segment_m / 2.0
+        window = config.window_sigmas * sigma
+        near = old & (distance < config.reach_m * 0.75 + window)
+        # one place per half segment of path: passes by the same spot count apart
+        stretch = (travel / (config.segment_m / 2.0)).astype(np.int64)
         best: dict[int, int] = {}
-        for k in np.flatnonzero(near):
-            stretch = int(travel[k] / half)
-            if stretch not in best or distance[k] < distance[best[stretch]]:
-                best[stretch] = int(k)
-        # an anchor per stretch that does not depend on the query, so that places can be kept
-        chosen = sorted(best.values(), key=lambda k: float(distance[k] + sigma[k]))[: config.max_places]
-        out = []
-        for k in chosen:
-            window_m = min(max(config.min_window_m, config.window_sigmas * float(sigma[k])), config.max_window_m)
-            window_rad = min(max(0.1, config.window_sigmas * math.sqrt(variances[k, 1])), math.pi / 2)
-            out.append((self._anchor(k), window_m, window_rad))
-        return out
+        for k in np.flatnonzero(near)[np.argsort(distance[near], kind="stable")]:
+            best.setdefault(int(stretch[k]), int(k))
+        out = [
+            Candidate(
+                self._anchor(k),
+                max(config.min_window_m, float(window[k])),
+                min(max(0.1, config.window_sigmas * math.sqrt(variances[k, 1])), 0.5 * math.pi),
+            )
+            for k in best.values()
+        ]
+        sure = [c for c in out if c.window_m <= config.wide_window_m][: config.max_near_places]
+        wide = [c for c in out if c.window_m > config.wide_window_m][: config.max_places]
+        if wide and travel[j] - self._last_wide_m >= config.wide_every_m:
+            self._last_wide_m = float(travel[j])
+            return sure + wide
+        return sure
 
     def _anchor(self, k: int) -> int:
+        """The keyframe in the middle of the half segment of ``k``: one place serves all its neighbours."""
         half = self.config.segment_m / 2.0
         middle = (math.floor(self.travel_m[k] / half) + 0.5) * half
         return min(int(np.searchsorted(self.travel_m, middle)), len(self.travel_m) - 1)
@@ -145,41 +154,85 @@ class LoopCloser:
             int(np.searchsorted(self.travel_m, low)), int(np.searchsorted(self.travel_m, high, side="right"))
         )
 
-    # --- verification -------------------------------------------------------------------------------
+    # --- search and verification ----------------------------------------------------------------------
 
-    def _verify(
-        self, place: Place, search_map, query: Place, guess: FloatArray, window_m: float, window_rad: float, sigma_m: float
+    def _match(
+        self, candidate: Candidate, query: Place, world_T_body: FloatArray, range_sigma_m: float
     ) -> Loop | None:
-        config, stats = self.config, self.statistics
+        """The best pose of the query in the candidate's place, if it stands up to verification."""
+        config = self.config
+        place, maps = self._memory.at(self._members(candidate.keyframe, trailing=False), candidate.keyframe)
         points = np.ascontiguousarray(query.surface[:, :2])
-        found, score = search(search_map, points, guess, window_m, window_rad, config.min_score)
+        wide = candidate.window_m > config.wide_window_m
+        center = poses.between(world_T_body[place.anchor], world_T_body[query.anchor])
+        window_m = candidate.window_m
+        if wide:
+            # only poses that overlap the place are worth a look
+            distance = math.hypot(center[0], center[1])
+            window_m = min(window_m, config.reach_m)
+            if distance > config.reach_m:
+                center[:2] *= max(0.0, 1.0 - window_m / distance)
+        search_map = maps[1] if wide else maps[0]
+        found, score = search(search_map, points, center, window_m, candidate.window_rad, config.min_score)
         if score == 0.0:
-            stats.refuse("no match in the window")
+            self.statistics.refuse("no match in the window")
             return None
-        if window_m > config.lone_window_m:
+        if wide:
             avoid = np.array([found[0], found[1], 1.0])
-            _, runner_up = search(
-                search_map, points, guess, window_m, window_rad, config.ambiguous_score * score, avoid
-            )
-            if runner_up > 0.0:
-                stats.refuse("ambiguous")
+            rival = search(
+                search_map, points, center, window_m, candidate.window_rad, config.ambiguous_score * score, avoid
+            )[1]
+            if rival > 0.0:
+                self.statistics.refuse("ambiguous")
+                return None
+            found, score = search(maps[0], points, found, 0.3, 0.06, config.min_score)
+            if score == 0.0:
+                self.statistics.refuse("no match in the window")
                 return None
         match = icp.register(
-            place.table, points, np.ascontiguousarray(query.surface[:, 2:]), found, sigma_m, self.icp_config,
-            search_radius_m=0.3,
+            place.table, points, np.ascontiguousarray(query.surface[:, 2:]), found, range_sigma_m,
+            self.icp_config, search_radius_m=0.3,
         )  # fmt: skip
+        if not self._verified(place, query, match, wide):
+            return None
+        return Loop(place.anchor, query.anchor, match, candidate.window_m, score)
+
+    def _verified(self, place: Place, query: Place, match: Match, wide: bool) -> bool:
+        """Enough in common, what is in common fits closely, and nothing stands in seen free space."""
+        config = self.config
         there, seen_there = place.agreement(match.ref_T_src, query.surface)
-        back, seen_back = query.agreement(_inverse(match.ref_T_src), place.surface)
-        if max(seen_there, seen_back) < config.min_coverage or min(seen_there, seen_back) < 0.5 * config.min_coverage:
-            stats.refuse("too little in common")
-            return None
-        if min(there, back) < config.min_agreement:
-            stats.refuse("contradicted by free space")
-            return None
-        if match.inlier_ratio < config.min_inlier_ratio * max(seen_there, 0.5):
-            stats.refuse("poor fit")
-            return None
-        return Loop(place.anchor, query.anchor, match, window_m)
+        back, seen_back = query.agreement(poses.between(match.ref_T_src, np.zeros(3)), place.surface)
+        if max(seen_there, seen_back) < config.min_coverage or min(seen_there, seen_back) < 0.2:
+            self.statistics.refuse("too little in common")
+            return False
+        if min(there, back) < (config.wide_agreement if wide else config.min_agreement) - 0.1 or 0.5 * (
+            there + back
+        ) < (config.wide_agreement if wide else config.min_agreement):
+            self.statistics.refuse("contradicted by free space")
+            return False
+        wanted = config.wide_inlier_ratio if wide else config.min_inlier_ratio
+        if match.inlier_ratio < wanted * seen_there:
+            self.statistics.refuse("poor fit")
+            return False
+        return True
+
+    def _unambiguous(self, found: list[Loop], world_T_body: FloatArray) -> list[Loop]:
+        """Loops from wide windows must not tell of two places for one scan."""
+        wide = [loop for loop in found if loop.window_m > self.config.wide_window_m]
+        sure = [loop for loop in found if loop.window_m <= self.config.wide_window_m]
+        if not wide:
+            return sure
+        best = max(wide, key=lambda loop: loop.score)
+        here = poses.compose(world_T_body[best.i], best.match.ref_T_src)
+        kept = []
+        for loop in wide:
+            apart = poses.between(here, poses.compose(world_T_body[loop.i], loop.match.ref_T_src))
+            if math.hypot(apart[0], apart[1]) < 1.0 and abs(apart[2]) < 0.1:
+                kept.append(loop)
+            elif loop.score > self.config.ambiguous_score * best.score:
+                self.statistics.refuse("ambiguous")
+                return sure
+        return sure + kept
 
     def _passes_gate(
         self, loop: Loop, world_T_body: FloatArray, relative_covariance: Callable[[int, int], FloatArray]
@@ -187,24 +240,28 @@ class LoopCloser:
         """chi2 of the loop under the joint marginal of both poses."""
         predicted = poses.between(world_T_body[loop.i], world_T_body[loop.j])
         error = poses.between(predicted, loop.match.ref_T_src)
-        covariance = relative_covariance(loop.i, loop.j) + np.linalg.pinv(loop.match.information, hermitian=True)
-        chi2 = float(error @ np.linalg.solve(covariance, error))
-        if chi2 > CHI2_3DOF.get(self.gate, 16.27):
-            self.statistics.refuse("outside the joint marginal")
-            return False
-        return True
+        covariance = relative_covariance(loop.i, loop.j) + np.linalg.pinv(
+            loop.match.information, hermitian=True
+        )
+        return float(error @ np.linalg.solve(covariance, error)) < self.gate_chi2
 
-    def _with_partners(self, loop: Loop) -> list[Loop]:
-        """The loop and those that waited for it, once enough of them agree."""
-        if loop.window_m <= self.config.lone_window_m:
+    def _with_partners(self, loop: Loop, inside_gate: bool) -> list[Loop]:
+        """The loop and those that waited for it, once enough of them agree.
+
+        One that lies outside the joint marginal needs twice as many: then not the loop is wrong but a
+        match on the way, and the robust solve is left to find it.
+        """
+        config = self.config
+        if inside_gate and loop.window_m <= config.wide_window_m:
             return [loop]
+        needed = config.partners if inside_gate else 2 * config.partners
         agreeing = [w for w in self._waiting if self._agree(w, loop)]
         self._waiting.append(loop)
-        if len(agreeing) < self.config.partners:
-            self.statistics.refuse("waits for others that agree")
+        distinct = {w.j for w in agreeing}
+        if len(distinct) < needed:
+            self.statistics.refuse("waits for others that agree" if inside_gate else "outside the joint marginal")
             return []
-        for w in [*agreeing, loop]:
-            self._waiting.remove(w)
+        self._waiting = [w for w in self._waiting if w is not loop and w not in agreeing]
         return [*agreeing, loop]
 
     def _agree(self, a: Loop, b: Loop) -> bool:
@@ -219,8 +276,15 @@ class LoopCloser:
         over_old = poses.compose(ai_T_bi, b.match.ref_T_src)
         over_new = poses.compose(a.match.ref_T_src, aj_T_bj)
         error = poses.between(over_old, over_new)
-        tolerance_m = 0.15 + 0.02 * (travelled + apart)
-        return math.hypot(error[0], error[1]) < tolerance_m and abs(error[2]) < 0.02 + 0.003 * (travelled + apart)
+        path_m = travelled + apart
+        return math.hypot(error[0], error[1]) < 0.15 + 0.02 * path_m and abs(error[2]) < 0.02 + 0.003 * path_m
+
+
+def chi2_quantile(probability: float) -> float:
+    """Quantile of chi2 with three degrees of freedom."""
+    from scipy.special import chdtri
+
+    return float(chdtri(3, 1.0 - probability))
 
 
 def adjacency(count: int, edges: list[Edge]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -239,7 +303,3 @@ def adjacency(count: int, edges: list[Edge]) -> tuple[np.ndarray, np.ndarray, np
 def edge_variances(edge: Edge) -> tuple[float, float]:
     covariance = np.linalg.inv(edge.information + np.diag([1.0, 1.0, 10.0]))
     return float(covariance[0, 0] + covariance[1, 1]), float(covariance[2, 2])
-
-
-def _inverse(pose: FloatArray) -> FloatArray:
-    return poses.between(pose, np.zeros(3))

@@ -53,8 +53,10 @@ class Place:
         surface = cells.smooth_surface(raw, icp.CELL_M, 0.1, 0.06)
         return cls(anchor, surface, icp.reference_table(surface), grid, corner)
 
-    def search_map(self) -> SearchMap:
-        return SearchMap.of(self.surface[:, :2], np.zeros(2), REACH_M, CELL_M)
+    def search_maps(self) -> tuple[SearchMap, SearchMap]:
+        """A fine one for narrow windows, a coarse one for wide windows."""
+        points, center = self.surface[:, :2], np.zeros(2)
+        return SearchMap.of(points, center, REACH_M, CELL_M), SearchMap.of(points, center, REACH_M, 2 * CELL_M)
 
     def agreement(self, place_T_points: FloatArray, surface: FloatArray) -> tuple[float, float]:
         """Share of the commonly seen points that are not contradicted, and share commonly seen."""
@@ -70,13 +72,13 @@ class PlaceMemory:
     def __init__(self, keyframes: list[Keyframe], capacity: int = 80) -> None:
         self._keyframes = keyframes
         self._capacity = capacity
-        self._made: OrderedDict[tuple[int, int], tuple[Place, SearchMap]] = OrderedDict()
+        self._made: OrderedDict[tuple[int, int], tuple[Place, tuple[SearchMap, SearchMap]]] = OrderedDict()
 
-    def at(self, members: range, anchor: int) -> tuple[Place, SearchMap]:
+    def at(self, members: range, anchor: int) -> tuple[Place, tuple[SearchMap, SearchMap]]:
         key = (members.start, members.stop)
         if key not in self._made:
             place = Place.of(self._keyframes, members, anchor)
-            self._made[key] = (place, place.search_map())
+            self._made[key] = (place, place.search_maps())
             if len(self._made) > self._capacity:
                 self._made.popitem(last=False)
         self._made.move_to_end(key)

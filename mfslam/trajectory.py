@@ -1,0 +1,61 @@
+"""The robot's pose at any scan and any instant, once the keyframes stand."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mfslam import se2
+from mfslam.types import FloatArray, IntArray
+
+
+def spread_corrections(
+    local_T_body: FloatArray, keyframes: IntArray, world_T_keyframe: FloatArray
+) -> FloatArray:
+    """(S, 3) world pose of every scan from its locally consistent one.
+
+    ``local_T_body`` (S, 3): the front end's poses; ``keyframes`` (K,): indices of scans whose world poses
+    are known. Between two keyframes the front end's motion is kept and what the graph changed about it
+    is spread evenly over the scans.
+    """
+    scans = np.arange(len(local_T_body))
+    segment = np.clip(np.searchsorted(keyframes, scans, side="right") - 1, 0, len(keyframes) - 1)
+    following = np.minimum(segment + 1, len(keyframes) - 1)
+    local_T_keyframe = local_T_body[keyframes]
+    world_T_body = se2.compose(
+        world_T_keyframe[segment], se2.between(local_T_keyframe[segment], local_T_body)
+    )
+    correction = se2.log(
+        se2.between(
+            se2.between(local_T_keyframe[segment], local_T_keyframe[following]),
+            se2.between(world_T_keyframe[segment], world_T_keyframe[following]),
+        )
+    )
+    span = np.maximum(keyframes[following] - keyframes[segment], 1)
+    share = np.where(following > segment, (scans - keyframes[segment]) / span, 0.0)
+    return se2.compose(world_T_body, se2.exp(correction * share[:, None]))
+
+
+def poses_at(times_s: FloatArray, world_T_body: FloatArray, at_s: FloatArray) -> FloatArray:
+    """(N, 3) poses at instants ``at_s``, constant twist between knots (eq. 16 made exact), held at both
+    ends. ``times_s`` (S,) must not decrease."""
+    after = np.clip(np.searchsorted(times_s, at_s, side="right"), 1, max(1, len(times_s) - 1))
+    if len(times_s) == 1:
+        return np.repeat(world_T_body, len(at_s), axis=0)
+    t0, t1 = times_s[after - 1], times_s[after]
+    share = np.clip((at_s - t0) / np.where(t1 > t0, t1 - t0, 1.0), 0.0, 1.0)
+    return se2.interpolate(world_T_body[after - 1], world_T_body[after], share)
+
+
+def twists_over(
+    times_s: FloatArray, world_T_body: FloatArray, starts_s: FloatArray, ends_s: FloatArray, window_s: float
+) -> FloatArray:
+    """(N, 3) mean body twists over intervals, each widened about its middle to at least ``window_s``."""
+    middle = 0.5 * (starts_s + ends_s)
+    half = 0.5 * np.maximum(ends_s - starts_s, window_s)
+    t0 = np.clip(middle - half, times_s[0], times_s[-1])
+    t1 = np.clip(middle + half, times_s[0], times_s[-1])
+    motion = se2.log(
+        se2.between(poses_at(times_s, world_T_body, t0), poses_at(times_s, world_T_body, t1))
+    )
+    span = (t1 - t0)[:, None]
+    return np.where(span > 1e-3, motion / np.maximum(span, 1e-3), 0.0)
