@@ -102,8 +102,27 @@ class OdometryConfig(_Stage):
     sigma_rotation_per_m: float = Field(0.03, gt=0, description="Sigma of heading drift, rad per m driven.")
     sigma_floor_m: float = Field(0.005, gt=0, description="Floor of the translation sigma of any step, m.")
     sigma_floor_rad: float = Field(0.003, gt=0, description="Floor of the rotation sigma of any step, rad.")
+    white_share: float = Field(
+        0.01,
+        gt=0,
+        le=1,
+        description="Share of a step's information that goes into the graph: errors of the wheels are mostly "
+        "systematic and add up over about 1/share steps.",
+    )
     max_speed_m_s: float = Field(5.0, gt=0, description="Faster wheel motion is a jump, not driving, m/s.")
     max_yaw_rate_rad_s: float = Field(6.0, gt=0, description="Faster wheel turning is a jump, rad/s.")
+
+
+class ImuConfig(_Stage):
+    """Gyro and compass: heading only."""
+
+    use_gyro: bool = Field(True, description="Use the gyro's yaw rate where the log has one.")
+    use_compass: bool = Field(
+        False, description="Use absolute headings (compass or fused). Off: steel indoors bends them."
+    )
+    gyro_sigma_rad_per_sqrt_s: float = Field(0.005, gt=0, description="Noise of the integrated yaw, rad per root s.")
+    bias_sigma_rad_s: float = Field(0.003, gt=0, description="What stays unknown of the gyro's bias, rad/s.")
+    compass_sigma_deg: float = Field(10.0, gt=0, description="One-sigma error of an absolute heading, deg.")
 
 
 class DeskewConfig(_Stage):
@@ -168,7 +187,7 @@ class LoopsConfig(_Stage):
     window_sigmas: float = Field(3.0, gt=0, description="Half window of the search, in sigmas of the prediction.")
     min_window_m: float = Field(0.5, gt=0, description="Half window at least, m.")
     max_places: int = Field(40, ge=1, description="Places tried in one search.")
-    max_near_places: int = Field(5, ge=1, description="Places tried in one search while the position is sure.")
+    max_near_places: int = Field(3, ge=1, description="Places tried in one search while the position is sure.")
     min_score: float = Field(0.35, gt=0, lt=1, description="Correlative score below which there is no candidate.")
     min_inlier_ratio: float = Field(
         0.4, gt=0, lt=1, description="Share of the commonly seen points that must fit closely."
@@ -235,6 +254,7 @@ class Config(_Stage):
     sensor: SensorConfig = SensorConfig()
     wheels: WheelsConfig = WheelsConfig()
     odometry: OdometryConfig = OdometryConfig()
+    imu: ImuConfig = ImuConfig()
     deskew: DeskewConfig = DeskewConfig()
     icp: IcpConfig = IcpConfig()
     frontend: FrontendConfig = FrontendConfig()

@@ -93,34 +93,48 @@ class PoseGraph:
         cross = jacobian @ ij
         return np.asarray(jacobian @ ii @ jacobian.T + cross + cross.T + jj)
 
-    def optimize(self, extra: list[Edge] | None = None, robust_loops: bool = True) -> list[Edge]:
+    def poses_solved(self) -> FloatArray:
+        """(K, 3) poses of the last batch solve."""
+        return np.array(self._poses)
+
+    def optimize(self) -> list[Edge]:
         """Batch solve of the whole graph; robust on loop edges by graduated non-convexity.
 
-        ``extra`` edges take part as well. Returns all edges with the weight that the solve left them;
-        the poses of the graph become the solution.
+        Returns all edges with the weight that the solve left them; the poses of the graph become the
+        solution.
         """
-        edges = self.live_edges() + (extra or [])
+        self._flush()
+        edges = self.live_edges()
         values = self._values()
         loops = [n for n, e in enumerate(edges) if e.kind == "loop"]
         weights = np.ones(len(edges))
         graph = self._graph(edges, robust=False)
-        if robust_loops and loops:
+        if loops:
             params = gtsam.GncLMParams()
             params.setLossType(gtsam.GncLossType.TLS)
             params.setScheduler(gtsam.GncScheduler.SuperLinear)
-            known = sorted(set(range(graph.size())) - {n + 1 for n in loops})
-            params.setKnownInliers(known)
+            # slot 0 is the prior
+            params.setKnownInliers(sorted(set(range(graph.size())) - {n + 1 for n in loops}))
             gnc = gtsam.GncLMOptimizer(graph, values, params)
             gnc.setInlierCostThresholdsAtProbability(self.config.loop_inlier_probability)
             values = gnc.optimize()
             weights[:] = np.asarray(gnc.getWeights())[1:]
         else:
-            values = gtsam.LevenbergMarquardtOptimizer(
-                self._graph(edges, robust=True), values
-            ).optimize()
+            values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+        self._poses = list(gtsam.utilities.extractPose2(values))
+        return [dataclasses.replace(e, weight=float(w)) for e, w in zip(edges, weights, strict=True)]
+
+    def optimize_with(self, edges: list[Edge]) -> list[Edge]:
+        """Batch solve from the poses as they stand with these edges instead, robust on scans and loops.
+
+        Loops that an earlier solve refused (weight below one half) stay out. Returns the edges with the
+        weights of their kernels; the poses of the graph become the solution.
+        """
+        used = [e for e in edges if e.weight >= 0.5]
+        values = gtsam.LevenbergMarquardtOptimizer(self._graph(used, robust=True), self._values()).optimize()
         self._poses = list(gtsam.utilities.extractPose2(values))
         return [
-            dataclasses.replace(e, weight=float(w)) for e, w in zip(edges, weights, strict=True)
+            dataclasses.replace(e, weight=self._kernel_weight(e)) if e.weight >= 0.5 else e for e in edges
         ]
 
     # --- inside ---------------------------------------------------------------------------------------
@@ -148,6 +162,16 @@ class PoseGraph:
             noise = factors.robust_noise(factor.noiseModel(), "cauchy", self.config.loop_kernel_sigmas)
             return gtsam.BetweenFactorPose2(edge.i, edge.j, gtsam.Pose2(*edge.i_T_j), noise)
         return factor
+
+    def _kernel_weight(self, edge: Edge) -> float:
+        """What the Cauchy kernel leaves of a scan or loop edge at the poses as they stand."""
+        if edge.kind not in ("scan", "loop"):
+            return 1.0
+        error = pose_kernels.between(
+            edge.i_T_j, pose_kernels.between(self._poses[edge.i], self._poses[edge.j])
+        )
+        chi2 = float(error @ edge.information @ error)
+        return 1.0 / (1.0 + chi2 / self.config.loop_kernel_sigmas**2)
 
     def _graph(self, edges: list[Edge], robust: bool) -> gtsam.NonlinearFactorGraph:
         graph = gtsam.NonlinearFactorGraph()

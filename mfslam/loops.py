@@ -65,6 +65,7 @@ class LoopCloser:
         self._last_search_m = 0.0
         self._last_wide_m = -math.inf
         self._waiting: list[Loop] = []
+        self._tied_at_m: dict[int, float] = {}  # anchor -> travel when it was last tied to
 
     def add_keyframe(self) -> None:
         """Note the newest keyframe; call once for each."""
@@ -103,6 +104,7 @@ class LoopCloser:
             inside = self._passes_gate(loop, world_T_body, relative_covariance)
             believed += self._with_partners(loop, inside)
         self.statistics.accepted += len(believed)
+        self._tied_at_m.update((loop.i, self.travel_m[loop.j]) for loop in believed)
         return believed
 
     # --- candidates ---------------------------------------------------------------------------------
@@ -132,12 +134,18 @@ class LoopCloser:
             )
             for k in best.values()
         ]
-        sure = [c for c in out if c.window_m <= config.wide_window_m][: config.max_near_places]
+        sure = [c for c in out if c.window_m <= config.wide_window_m and not self._tied_lately(c)]
+        sure = sure[: config.max_near_places]
         wide = [c for c in out if c.window_m > config.wide_window_m][: config.max_places]
         if wide and travel[j] - self._last_wide_m >= config.wide_every_m:
             self._last_wide_m = float(travel[j])
             return sure + wide
         return sure
+
+    def _tied_lately(self, candidate: Candidate) -> bool:
+        """Whether this stretch of path was tied to the same place already: once more says nothing new."""
+        last_m = self._tied_at_m.get(candidate.keyframe)
+        return last_m is not None and self.travel_m[-1] - last_m < self.config.segment_m / 2.0
 
     def _anchor(self, k: int) -> int:
         """The keyframe in the middle of the half segment of ``k``: one place serves all its neighbours."""

@@ -13,6 +13,7 @@ from mfslam.kernels import poses
 from mfslam.types import FloatArray
 
 MIN_TWIST_WINDOW_S = 0.25
+DISTRUSTED_SHARE = 1e-4  # of the information of a step that the scans contradict
 
 
 class OdometryTrack:
@@ -22,11 +23,14 @@ class OdometryTrack:
         self.times_s: list[float] = []
         self.odom_T_body: list[FloatArray] = []
         self.backwards_s = 0.0  # largest step back of a stamp
+        self.has_moved = False
 
     def add(self, time_s: float, odom_T_body: FloatArray) -> None:
         if self.times_s and time_s < self.times_s[-1]:
             self.backwards_s = max(self.backwards_s, self.times_s[-1] - time_s)
             time_s = self.times_s[-1]
+        if not self.has_moved and self.odom_T_body:
+            self.has_moved = bool(np.max(np.abs(odom_T_body - self.odom_T_body[0])) > 1e-3)
         self.times_s.append(time_s)
         self.odom_T_body.append(odom_T_body)
 
@@ -64,6 +68,22 @@ def is_plausible(twist: FloatArray, config: OdometryConfig) -> bool:
     return (
         math.hypot(twist[0], twist[1]) <= config.max_speed_m_s and abs(twist[2]) <= config.max_yaw_rate_rad_s
     )
+
+
+def is_jump(step: FloatArray, dt_s: float, config: OdometryConfig) -> bool:
+    """Whether a step between two scans is farther than the robot can have driven; stamps of scans that
+    come in bursts are given the benefit of the doubt."""
+    span_s = max(dt_s, 0.3)
+    return (
+        math.hypot(step[0], step[1]) > config.max_speed_m_s * span_s
+        or abs(step[2]) > config.max_yaw_rate_rad_s * span_s
+    )
+
+
+def factor_information(step: FloatArray, distrusted: bool, config: OdometryConfig) -> FloatArray:
+    """(3, 3) information of a wheel factor; next to nothing where the scans contradict the wheels."""
+    share = config.white_share * (DISTRUSTED_SHARE if distrusted else 1.0)
+    return np.asarray(np.diag(share / step_sigmas(step, config) ** 2))
 
 
 def step_sigmas(step: FloatArray, config: OdometryConfig) -> FloatArray:
