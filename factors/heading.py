@@ -9,12 +9,10 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
-from factors.noise import noise_from_information
-
 
 def gyro_factor(i: int, j: int, turn_rad: float, sigma_rad: float) -> gtsam.BetweenFactorPose2:
-    """Turn from pose i to pose j; translation is left open."""
-    noise = noise_from_information(np.diag([0.0, 0.0, sigma_rad**-2]))
+    """Turn from pose i to pose j; translation is left open: no information at all, not little."""
+    noise = gtsam.noiseModel.Diagonal.Precisions(np.array([0.0, 0.0, sigma_rad**-2]))
     return gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(0.0, 0.0, turn_rad), noise)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gtsam
 import numpy as np
 
@@ -26,16 +28,18 @@ def noise_from_information(information: FloatArray) -> gtsam.noiseModel.Gaussian
     if values[0] < -1e-6 * top:
         raise ValueError(f"information matrix is not positive semidefinite: eigenvalues {values}")
     floored = np.maximum(values, max(ABSOLUTE_FLOOR, RELATIVE_FLOOR * top))
-    upper = np.linalg.qr((vectors * np.sqrt(floored)).T, mode="r")
+    upper: FloatArray = np.asarray(np.linalg.qr((vectors * np.sqrt(floored)).T, mode="r"))
     # rows may be negated at will; gtsam wants sigmas, hence a diagonal, that are positive
     upper *= np.where(np.diag(upper) < 0.0, -1.0, 1.0)[:, None]
     return gtsam.noiseModel.Gaussian.SqrtInformation(upper)
 
 
-def robust_noise(
-    noise: gtsam.noiseModel.Base, kernel: str, scale: float
-) -> gtsam.noiseModel.Robust:
+def robust_noise(noise: gtsam.noiseModel.Base, kernel: str, scale: float) -> gtsam.noiseModel.Robust:
     """``noise`` under a robust kernel: huber, cauchy or geman-mcclure, scale in sigmas."""
     estimator = gtsam.noiseModel.mEstimator
-    kernels = {"huber": estimator.Huber, "cauchy": estimator.Cauchy, "geman-mcclure": estimator.GemanMcClure}
+    kernels: dict[str, Any] = {
+        "huber": estimator.Huber,
+        "cauchy": estimator.Cauchy,
+        "geman-mcclure": estimator.GemanMcClure,
+    }
     return gtsam.noiseModel.Robust.Create(kernels[kernel].Create(scale), noise)

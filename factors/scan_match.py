@@ -12,8 +12,6 @@ from factors.noise import noise_from_information
 from mfslam.types import FloatArray
 
 
-def scan_match_factor(
-    i: int, j: int, i_T_j: FloatArray, information: FloatArray
-) -> gtsam.BetweenFactorPose2:
+def scan_match_factor(i: int, j: int, i_T_j: FloatArray, information: FloatArray) -> gtsam.BetweenFactorPose2:
     """Between factor from a `Match` (pose (3,), information (3, 3))."""
     return gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*i_T_j), noise_from_information(information))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mfslam import se2
 from mfslam.config import IcpConfig
 from mfslam.kernels import align, cells
 from mfslam.kernels.cells import CellTable
@@ -15,7 +16,8 @@ NO_PRIOR = np.zeros((3, 3))
 
 def reference_table(oriented: FloatArray) -> CellTable:
     """Search structure over oriented points (M, 4): x, y, nx, ny."""
-    return cells.build_cells(oriented, CELL_M)
+    table: CellTable = cells.build_cells(oriented, CELL_M)
+    return table
 
 
 def register(
@@ -33,23 +35,23 @@ def register(
 
     ``points_m``, ``normals`` (M, 2): the source. ``guess`` (3,): ref_T_src to start from. A ``prior``
     with its information keeps directions in place that the scans do not constrain; it moves the
-    estimate but is not part of the information returned.
+    estimate but is not part of the information returned. The information is that of the point-to-line
+    residuals at the solution whatever the method: points that slide along a wall say nothing of it.
     """
     sigma = np.sqrt(2.0) * range_sigma_m  # both ends of a residual are measured
-    pose, hessian, inlier_ratio, rms_m, iterations, converged = align.point_to_line(
-        reference,
-        CELL_M,
-        points_m,
-        normals,
-        guess,
-        guess if prior is None else prior,
-        NO_PRIOR if prior_information is None else prior_information,
-        sigma,
-        config.kernel_sigmas,
-        config.search_radius_m if search_radius_m is None else search_radius_m,
-        config.final_radius_m,
-        config.max_iterations,
-    )
+    held = guess if prior is None else prior
+    held_information = NO_PRIOR if prior_information is None else prior_information
+    radius_m = config.search_radius_m if search_radius_m is None else search_radius_m
+    if config.method == "point_to_point":
+        outcome = _closed_form(
+            reference, points_m, normals, guess, held, held_information, sigma, radius_m, config
+        )
+    else:
+        outcome = align.point_to_line(
+            reference, CELL_M, points_m, normals, guess, held, held_information, sigma,
+            config.kernel_sigmas, radius_m, config.final_radius_m, config.max_iterations,
+        )  # fmt: skip
+    pose, hessian, inlier_ratio, rms_m, iterations, converged = outcome
     # residuals above the model's sigma (quantisation, rough walls) take information away
     scale = config.independent_share * min(1.0, (sigma / max(rms_m, 1e-9)) ** 2)
     return Match(
@@ -60,6 +62,38 @@ def register(
         iterations=iterations,
         converged=converged,
     )
+
+
+_Outcome = tuple[FloatArray, FloatArray, float, float, int, bool]
+
+
+def _closed_form(
+    reference: CellTable,
+    points_m: FloatArray,
+    normals: FloatArray,
+    guess: FloatArray,
+    prior: FloatArray,
+    prior_information: FloatArray,
+    sigma: float,
+    search_radius_m: float,
+    config: IcpConfig,
+) -> _Outcome:
+    """The paper's point-to-point registration (eqs. 25-39), which knows no prior: its solution and the
+    prior are merged at the end, each weighing as much as its information."""
+    source = reference_table(np.hstack([points_m, normals]))
+    pose, iterations, converged = align.point_to_point(
+        reference, source, CELL_M, guess, search_radius_m, config.final_radius_m, config.max_iterations
+    )
+    # one evaluation of the point-to-line residuals there; its step is not taken
+    _, hessian, inlier_ratio, rms_m, _, _ = align.point_to_line(
+        reference, CELL_M, points_m, normals, pose, pose, NO_PRIOR, sigma,
+        config.kernel_sigmas, config.final_radius_m, config.final_radius_m, 1,
+    )  # fmt: skip
+    if prior_information.any():
+        pull = prior_information @ se2.log(se2.between(pose, prior))
+        step = np.linalg.lstsq(hessian + prior_information, pull, rcond=None)[0]
+        pose = se2.compose(pose, se2.exp(step))
+    return pose, hessian, inlier_ratio, rms_m, iterations, converged
 
 
 def with_floor(information: FloatArray, sigma_m: float, sigma_rad: float) -> FloatArray:

@@ -30,17 +30,15 @@ def _nearest(
                 dx, dy = rows[q, 0] - x, rows[q, 1] - y
                 d2 = dx * dx + dy * dy
                 if d2 < best_d2:
-                    if oriented and (rows[q, 2] != 0.0 or rows[q, 3] != 0.0):
-                        if nx * rows[q, 2] + ny * rows[q, 3] < min_cos:
-                            continue
+                    both_oriented = oriented and (rows[q, 2] != 0.0 or rows[q, 3] != 0.0)
+                    if both_oriented and nx * rows[q, 2] + ny * rows[q, 3] < min_cos:
+                        continue
                     best, best_d2 = q, d2
     return best, best_d2
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _solve3(
-    a: FloatArray, b0: float, b1: float, b2: float
-) -> tuple[bool, float, float, float]:
+def _solve3(a: FloatArray, b0: float, b1: float, b2: float) -> tuple[bool, float, float, float]:
     """Solution of the symmetric 3x3 system a x = b by Cramer's rule; False where it is singular."""
     c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
     c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
@@ -57,6 +55,69 @@ def _solve3(
         (c01 * b0 + c11 * b1 + c12 * b2) / det,
         (c02 * b0 + c12 * b1 + c22 * b2) / det,
     )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _normal_equations(
+    table: CellTable,
+    cell: float,
+    points: FloatArray,
+    normals: FloatArray,
+    pose: FloatArray,
+    sigma: float,
+    scale: float,
+    radius: float,
+    h: FloatArray,
+) -> tuple[float, float, float, float, float, int]:
+    """Fill the information ``h`` (3, 3) of all point-to-line residuals at ``pose``.
+
+    Returns the right-hand side b0, b1, b2 of h d = b, the sums of weighted squares and of weights, and the
+    number of pairs without any normal.
+    """
+    rows = table[3]
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    inv_s2 = 1.0 / (sigma * sigma)
+    min_cos = 0.7
+    k2 = scale * scale
+    h[:] = 0.0
+    b0 = b1 = b2 = 0.0
+    sum_r2 = 0.0
+    weight_sum = 0.0
+    mute = 0
+    for i in range(points.shape[0]):
+        px, py = points[i, 0], points[i, 1]
+        x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
+        wnx = c * normals[i, 0] - s * normals[i, 1]
+        wny = s * normals[i, 0] + c * normals[i, 1]
+        q, _ = _nearest(table, cell, x, y, wnx, wny, radius, min_cos)
+        if q < 0:
+            continue
+        nx, ny = rows[q, 2], rows[q, 3]
+        if nx == 0.0 and ny == 0.0:
+            nx, ny = wnx, wny
+            if nx == 0.0 and ny == 0.0:
+                mute += 1
+                continue
+        r = nx * (x - rows[q, 0]) + ny * (y - rows[q, 1])
+        w = k2 / (k2 + r * r)
+        w *= w
+        # d r / d (right perturbation): rotate the normal into the source frame
+        j0, j1 = c * nx + s * ny, -s * nx + c * ny
+        j2 = j1 * px - j0 * py
+        wi = w * inv_s2
+        h[0, 0] += wi * j0 * j0
+        h[0, 1] += wi * j0 * j1
+        h[0, 2] += wi * j0 * j2
+        h[1, 1] += wi * j1 * j1
+        h[1, 2] += wi * j1 * j2
+        h[2, 2] += wi * j2 * j2
+        b0 -= wi * j0 * r
+        b1 -= wi * j1 * r
+        b2 -= wi * j2 * r
+        sum_r2 += w * r * r
+        weight_sum += w
+    h[1, 0], h[2, 0], h[2, 1] = h[0, 1], h[0, 2], h[1, 2]
+    return b0, b1, b2, sum_r2, weight_sum, mute
 
 
 @njit(cache=True, nogil=True)
@@ -79,11 +140,10 @@ def point_to_line(
     Minimises sum rho(n . (T p - q)) / sigma^2 + \\|log(prior^-1 T)\\|^2 by Gauss-Newton on the right
     perturbation of ref_T_src; rho is Geman-McClure of scale ``kernel_sigmas`` sigma. The search radius
     and the scale of the kernel shrink while it converges.
-    Returns ref_T_src, the information of the data alone (3, 3), the share of points that found
-    their partner (robust weights; pairs without any normal are left out), the root mean square of their residuals, iterations and whether it converged.
+    Returns ref_T_src, the information of the data alone (3, 3), the share of points that found their
+    partner (robust weights; pairs without any normal are left out), the root mean square of their
+    residuals, iterations and whether it converged.
     """
-    m = points.shape[0]
-    rows = table[3]
     pose = guess.copy()
     h = np.zeros((3, 3))
     a = np.zeros((3, 3))
@@ -92,55 +152,17 @@ def point_to_line(
     rms = 0.0
     converged = False
     iteration = 0
-    inv_s2 = 1.0 / (sigma * sigma)
-    min_cos = 0.7
     radius = radius_start
     while iteration < max_iterations:
         iteration += 1
-        c, s = math.cos(pose[2]), math.sin(pose[2])
         # the kernel opens with the search radius so that a far guess is not thrown away as outliers
         scale = max(kernel_sigmas * sigma, 0.25 * radius)
-        k2 = scale * scale
-        h[:] = 0.0
-        b0 = b1 = b2 = 0.0
-        sum_r2 = 0.0
-        weight_sum = 0.0
-        mute = 0
-        for i in range(m):
-            px, py = points[i, 0], points[i, 1]
-            x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
-            wnx = c * normals[i, 0] - s * normals[i, 1]
-            wny = s * normals[i, 0] + c * normals[i, 1]
-            q, _ = _nearest(table, cell, x, y, wnx, wny, radius, min_cos)
-            if q < 0:
-                continue
-            nx, ny = rows[q, 2], rows[q, 3]
-            if nx == 0.0 and ny == 0.0:
-                nx, ny = wnx, wny
-                if nx == 0.0 and ny == 0.0:
-                    mute += 1
-                    continue
-            r = nx * (x - rows[q, 0]) + ny * (y - rows[q, 1])
-            w = k2 / (k2 + r * r)
-            w *= w
-            # d r / d (right perturbation): rotate the normal into the source frame
-            j0, j1 = c * nx + s * ny, -s * nx + c * ny
-            j2 = j1 * px - j0 * py
-            wi = w * inv_s2
-            h[0, 0] += wi * j0 * j0
-            h[0, 1] += wi * j0 * j1
-            h[0, 2] += wi * j0 * j2
-            h[1, 1] += wi * j1 * j1
-            h[1, 2] += wi * j1 * j2
-            h[2, 2] += wi * j2 * j2
-            b0 -= wi * j0 * r
-            b1 -= wi * j1 * r
-            b2 -= wi * j2 * r
-            sum_r2 += w * r * r
-            weight_sum += w
-        h[1, 0], h[2, 0], h[2, 1] = h[0, 1], h[0, 2], h[1, 2]
+        b0, b1, b2, sum_r2, weight_sum, mute = _normal_equations(
+            table, cell, points, normals, pose, sigma, scale, radius, h
+        )
         rms = math.sqrt(sum_r2 / weight_sum) if weight_sum > 0.0 else 0.0
         # error of the pose from the prior, small angles, in the frame of the pose
+        c, s = math.cos(pose[2]), math.sin(pose[2])
         ex, ey = prior[0] - pose[0], prior[1] - pose[1]
         e0, e1 = c * ex + s * ey, -s * ex + c * ey
         e2 = wrap_angle(prior[2] - pose[2])
@@ -163,4 +185,82 @@ def point_to_line(
         if small or iteration >= 2:
             radius = max(radius_end, 0.6 * radius)
     pose[2] = wrap_angle(pose[2])
-    return pose, h, weight_sum / max(1, m - mute), rms, iteration, converged
+    return pose, h, weight_sum / max(1, points.shape[0] - mute), rms, iteration, converged
+
+
+@njit(cache=True, nogil=True)
+def rigid_fit(d: FloatArray, m: FloatArray) -> FloatArray:
+    """Pose m_T_d (3,) that brings points ``d`` (N, 2) nearest to their partners ``m`` (eqs. 26-39).
+
+    H = sum d' m'^T = U S V^T gives R = V diag(1, det) U^T; the guard keeps it from being a reflection. In
+    the plane that rotation is the one whose angle maximises tr(R H), in closed form. t = c_m - R c_d.
+    """
+    n = d.shape[0]
+    dx, dy, mx, my = 0.0, 0.0, 0.0, 0.0
+    for i in range(n):  # eqs. 27, 28
+        dx += d[i, 0]
+        dy += d[i, 1]
+        mx += m[i, 0]
+        my += m[i, 1]
+    dx, dy, mx, my = dx / n, dy / n, mx / n, my / n
+    along = across = 0.0
+    for i in range(n):  # the parts of H (eq. 34) that a rotation sees: H00 + H11 and H01 - H10
+        ux, uy, vx, vy = d[i, 0] - dx, d[i, 1] - dy, m[i, 0] - mx, m[i, 1] - my  # eqs. 29, 30
+        along += ux * vx + uy * vy
+        across += ux * vy - uy * vx
+    theta = math.atan2(across, along)  # eq. 36
+    c, s = math.cos(theta), math.sin(theta)
+    return np.array([mx - c * dx + s * dy, my - s * dx - c * dy, theta])  # eq. 39
+
+
+@njit(cache=True, nogil=True)
+def point_to_point(
+    table: CellTable,
+    source: CellTable,
+    cell: float,
+    guess: FloatArray,
+    radius_start: float,
+    radius_end: float,
+    max_iterations: int,
+) -> tuple[FloatArray, int, bool]:
+    """The paper's registration from ``guess``: partners are mutually nearest (w_ij of eq. 25), each step is
+    the closed form of eqs. 26-39. The search radius shrinks while it converges.
+
+    Returns ref_T_src, iterations and whether it converged.
+    """
+    points, partners = source[3], table[3]
+    d, m = np.empty((points.shape[0], 2)), np.empty((points.shape[0], 2))
+    pose = guess.copy()
+    radius = radius_start
+    iteration = 0
+    while iteration < max_iterations:
+        iteration += 1
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        n = 0
+        for i in range(points.shape[0]):
+            x, y = (
+                pose[0] + c * points[i, 0] - s * points[i, 1],
+                pose[1] + s * points[i, 0] + c * points[i, 1],
+            )
+            q, _ = _nearest(table, cell, x, y, 0.0, 0.0, radius, 0.0)
+            if q < 0:
+                continue
+            rx, ry = partners[q, 0] - pose[0], partners[q, 1] - pose[1]
+            back, _ = _nearest(source, cell, c * rx + s * ry, -s * rx + c * ry, 0.0, 0.0, radius, 0.0)
+            if back != i:
+                continue
+            d[n, 0], d[n, 1] = points[i, 0], points[i, 1]
+            m[n, 0], m[n, 1] = partners[q, 0], partners[q, 1]
+            n += 1
+        if n < 2:
+            break
+        found = rigid_fit(d[:n], m[:n])
+        moved = math.hypot(found[0] - pose[0], found[1] - pose[1])
+        turned = abs(wrap_angle(found[2] - pose[2]))
+        pose = found
+        small = moved < 2e-4 and turned < 1e-4
+        if small and radius <= radius_end:
+            return pose, iteration, True
+        if small or iteration >= 2:
+            radius = max(radius_end, 0.6 * radius)
+    return pose, iteration, False

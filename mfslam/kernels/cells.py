@@ -22,7 +22,7 @@ def find_slot(keys: IntArray, key: int) -> int:
     mask = keys.shape[0] - 1
     h = key * -7046029254386353131
     h ^= h >> 29
-    slot = h & mask
+    slot: int = h & mask
     while keys[slot] != key and keys[slot] != np.iinfo(np.int64).min:
         slot = (slot + 1) & mask
     return slot

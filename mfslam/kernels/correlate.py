@@ -17,10 +17,10 @@ def likelihood_grid(
 ) -> ByteArray:
     """Grid (rows, cols) of exp(-d^2 / 2 sigma^2) * 255 to the nearest of ``points`` (M, 2), near them."""
     grid = np.zeros((rows, cols), np.uint8)
-    reach = int(math.ceil(2.5 * sigma / cell))
+    reach = math.ceil(2.5 * sigma / cell)
     for k in range(points.shape[0]):
         fx, fy = (points[k, 0] - origin[0]) / cell, (points[k, 1] - origin[1]) / cell
-        cx, cy = int(math.floor(fx)), int(math.floor(fy))
+        cx, cy = math.floor(fx), math.floor(fy)
         for iy in range(max(0, cy - reach), min(rows, cy + reach + 1)):
             for ix in range(max(0, cx - reach), min(cols, cx + reach + 1)):
                 dx, dy = (ix + 0.5 - fx) * cell, (iy + 0.5 - fy) * cell
@@ -92,7 +92,7 @@ def branch_and_bound(
     best = min_score * perfect
     pose = center.copy()
     found = 0.0
-    half = int(math.ceil(half_window / cell))
+    half = math.ceil(half_window / cell)
     block = 1 << top
     per_side = (2 * half) // block + 1
     n_angles = angles.shape[0]

@@ -13,6 +13,29 @@ def wrap_angle(angle: float) -> float:
     return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 
+@njit(cache=True, nogil=True, inline="always")
+def arc(vx: float, vy: float, w: float) -> tuple[float, float, float]:
+    """SE(2) exponential: where a twist held for unit time leads."""
+    if abs(w) < 1e-9:
+        return vx - 0.5 * w * vy, vy + 0.5 * w * vx, w
+    # 1 - cos(w) would lose its digits in small turns
+    half_sin = math.sin(0.5 * w)
+    s, c = math.sin(w) / w, 2.0 * half_sin * half_sin / w
+    return s * vx - c * vy, c * vx + s * vy, w
+
+
+@njit(cache=True, nogil=True)
+def advance(w_T_a: FloatArray, twist: FloatArray, duration_s: float) -> FloatArray:
+    """Pose after a body twist was held for a time: the exact arc."""
+    x, y, turn = arc(twist[0] * duration_s, twist[1] * duration_s, twist[2] * duration_s)
+    c, s = math.cos(w_T_a[2]), math.sin(w_T_a[2])
+    out = np.empty(3)
+    out[0] = w_T_a[0] + c * x - s * y
+    out[1] = w_T_a[1] + s * x + c * y
+    out[2] = wrap_angle(w_T_a[2] + turn)
+    return out
+
+
 @njit(cache=True, nogil=True)
 def compose(a_T_b: FloatArray, b_T_c: FloatArray) -> FloatArray:
     c, s = math.cos(a_T_b[2]), math.sin(a_T_b[2])

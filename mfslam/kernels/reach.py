@@ -2,7 +2,6 @@
 
 import heapq
 
-
 import numpy as np
 from numba import njit
 

@@ -5,16 +5,8 @@ import math
 import numpy as np
 from numba import njit
 
+from mfslam.kernels.poses import arc
 from mfslam.types import BoolArray, Float32Array, FloatArray, IntArray
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _exp(vx: float, vy: float, w: float) -> tuple[float, float, float]:
-    """SE(2) exponential of a twist held for unit time."""
-    if abs(w) < 1e-9:
-        return vx - 0.5 * w * vy, vy + 0.5 * w * vx, w
-    s, c = math.sin(w) / w, (1.0 - math.cos(w)) / w
-    return s * vx - c * vy, c * vx + s * vy, w
 
 
 @njit(cache=True, nogil=True)
@@ -47,7 +39,7 @@ def project_beams(
         bx, by = mount[0] + cm * lx - sm * ly, mount[1] + sm * lx + cm * ly
         if not still:
             t = times[j]
-            x, y, th = _exp(twist[0] * t, twist[1] * t, twist[2] * t)
+            x, y, th = arc(twist[0] * t, twist[1] * t, twist[2] * t)
             c, s = math.cos(th), math.sin(th)
             bx, by = x + c * bx - s * by, y + s * bx + c * by
         points[m, 0], points[m, 1] = bx, by
