@@ -1,0 +1,98 @@
+"""Walls one cell thick: the blur of range noise and of poses is taken off a grid of hits.
+
+Noise spreads the hits of a wall over several cells. The ridge of the hits is the wall; the cells on its
+flanks are taken off, the weakest first, and never one that holds the wall together.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from mfslam.kernels.raytrace import CountArray
+from mfslam.types import BoolArray, Float32Array, FloatArray, IntArray
+
+
+@njit(cache=True, nogil=True)
+def smooth_hits(hits: CountArray, cells: IntArray, weights: FloatArray) -> Float32Array:
+    """Hits blurred by the separable kernel ``weights`` (2 R + 1,), at the ``cells`` (K, 2) row, column; zero elsewhere."""
+    out = np.zeros(hits.shape, np.float32)
+    reach = weights.shape[0] // 2
+    for k in range(cells.shape[0]):
+        row, col = cells[k, 0], cells[k, 1]
+        total = 0.0
+        for i in range(max(0, row - reach), min(hits.shape[0], row + reach + 1)):
+            of_row = 0.0
+            for j in range(max(0, col - reach), min(hits.shape[1], col + reach + 1)):
+                of_row += weights[j - col + reach] * hits[i, j]
+            total += weights[i - row + reach] * of_row
+        out[row, col] = total
+    return out
+
+
+@njit(cache=True, nogil=True)
+def find_flanks(density: Float32Array, cells: IntArray, reach: int, window: int) -> BoolArray:
+    """Which ``cells`` (K, 2) have a denser one within ``reach`` cells straight across the wall.
+
+    The wall's direction is that of the spread of ``density`` in a window of ``2 window + 1`` cells.
+    """
+    rows, cols = density.shape
+    flank = np.zeros(cells.shape[0], np.bool_)
+    for k in range(cells.shape[0]):
+        row, col = cells[k, 0], cells[k, 1]
+        m = sx = sy = sxx = sxy = syy = 0.0
+        for i in range(max(0, row - window), min(rows, row + window + 1)):
+            for j in range(max(0, col - window), min(cols, col + window + 1)):
+                d = density[i, j]
+                x, y = float(j - col), float(i - row)
+                m += d
+                sx += d * x
+                sy += d * y
+                sxx += d * x * x
+                sxy += d * x * y
+                syy += d * y * y
+        mx, my = sx / m, sy / m
+        cxx, cxy, cyy = sxx / m - mx * mx, sxy / m - mx * my, syy / m - my * my
+        across = 0.5 * math.atan2(2.0 * cxy, cxx - cyy) + 0.5 * math.pi
+        nx, ny = math.cos(across), math.sin(across)
+        scale = 1.0 / max(abs(nx), abs(ny))
+        own = density[row, col]
+        for t in range(-reach, reach + 1):
+            i, j = row + round(t * ny * scale), col + round(t * nx * scale)
+            if t == 0 or i < 0 or j < 0 or i >= rows or j >= cols:
+                continue
+            # equal ones: the first in reading order stays
+            if density[i, j] > own or (density[i, j] == own and (i, j) < (row, col)):
+                flank[k] = True
+                break
+    return flank
+
+
+@njit(cache=True, nogil=True)
+def thin_walls(occupied: BoolArray, cells: IntArray) -> None:
+    """Clear ``cells`` (K, 2) of ``occupied`` in their order, over and over, except those that connect."""
+    changed = True
+    while changed:
+        changed = False
+        for k in range(cells.shape[0]):
+            row, col = cells[k, 0], cells[k, 1]
+            if occupied[row, col] and _is_simple(occupied, row, col):
+                occupied[row, col] = False
+                changed = True
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _is_simple(occupied: BoolArray, row: int, col: int) -> bool:
+    """Whether clearing a cell leaves what is connected connected (8 neighbours for occupied, 4 for clear):
+    Hilditch's crossing number is one. A lone cell stays."""
+    around = ((0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1))
+    ring = np.zeros(9, np.bool_)
+    for q in range(8):
+        i, j = row + around[q][0], col + around[q][1]
+        ring[q] = 0 <= i < occupied.shape[0] and 0 <= j < occupied.shape[1] and occupied[i, j]
+    ring[8] = ring[0]
+    crossings = 0
+    for q in range(0, 8, 2):
+        if not ring[q] and (ring[q + 1] or ring[q + 2]):
+            crossings += 1
+    return crossings == 1
