@@ -35,6 +35,7 @@ from mfslam.types import (
 )
 
 POOR_FIT, GOOD_FIT = 0.25, 0.65  # inlier ratios between which a match gains its full weight
+WEAK_SIGMA_M = 0.1  # a match less sure than this along some direction is weak
 LAG_S = 0.5  # odometry older than this says nothing of a scan
 
 
@@ -269,6 +270,21 @@ class Slam:
             edges = self._refine(edges)
         with self.clock.time("trajectory"):
             return self._solution(edges)
+
+    def solution_so_far(self) -> Solution:
+        """The solution as it stands, without solving or refining any further."""
+        return self._solution(self.graph.live_edges())
+
+    def weak_directions(self, edges: list[Edge]) -> dict[str, float]:
+        """Keyframe steps whose scan match leaves a direction open, so that the wheels decide there."""
+        weak_m = 0.0
+        count = 0
+        for edge in edges:
+            if edge.kind == "scan" and edge.j == edge.i + 1:
+                if np.linalg.eigvalsh(edge.information[:2, :2])[0] < WEAK_SIGMA_M**-2:
+                    count += 1
+                    weak_m += math.hypot(edge.i_T_j[0], edge.i_T_j[1])
+        return {"steps": count, "travelled_m": weak_m, "sigma_above_m": WEAK_SIGMA_M}
 
     def _refine(self, edges: list[Edge]) -> list[Edge]:
         config = self.config

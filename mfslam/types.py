@@ -137,6 +137,11 @@ class Findings:
         else:
             known.count += count
 
+    def merge(self, other: Findings) -> None:
+        """Take over what another room has found."""
+        for code, finding in other:
+            self.add(code, finding.text, finding.first_where, finding.count)
+
     def __iter__(self) -> Iterator[tuple[str, Finding]]:
         return iter(self._by_code.items())
 

@@ -1,0 +1,137 @@
+"""The command line: what can be asked, and nothing heavy until it is."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from mfslam import __version__
+from mfslam.types import MfslamError
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status: 0 done, 1 told why not, 2 misused, 130 interrupted."""
+    args = build_parser().parse_args(argv)
+    try:
+        check_neighbours()
+        return int(args.run(args))
+    except MfslamError as error:
+        print(f"mfslam: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("mfslam: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of our output has gone: nothing to tell it
+        sys.stderr.close()
+        return 1
+
+
+def build_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="mfslam", description="2D laser SLAM in which every beam has its own instant."
+    )
+    parser.add_argument("--version", action="version", version=f"mfslam {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    command = commands.add_parser("map", help="map a log: trajectory, factor graph, occupancy grid, report")
+    command.add_argument("log", metavar="LOG", type=Path, help="CARMEN, urg-text, ROS 1 or ROS 2 log")
+    command.add_argument("-o", "--output", metavar="OUT", type=Path, required=True, help="folder for the results")
+    command.add_argument("--overwrite", action="store_true", help="replace what OUT holds")
+    _add_topics(command)
+    _add_settings(command)
+    _add_reporting(command)
+    command.set_defaults(run=_run_map)
+
+    command = commands.add_parser("demo", help="simulate a fast robot in a few rooms and map its log")
+    command.add_argument(
+        "-o", "--output", metavar="OUT", type=Path, default=Path("mfslam-demo"), help="folder (./mfslam-demo)"
+    )
+    command.add_argument("--seed", type=int, default=1, help="of the simulated noise (1)")
+    _add_settings(command)
+    _add_reporting(command)
+    command.set_defaults(run=_run_demo)
+
+    command = commands.add_parser("info", help="tell what a log holds and what is odd in it")
+    command.add_argument("log", metavar="LOG", type=Path)
+    _add_topics(command)
+    _add_settings(command)
+    command.add_argument("--json", metavar="FILE", type=Path, help="write it as JSON too")
+    command.set_defaults(run=_run_info)
+
+    command = commands.add_parser("config", help="print every setting with its unit and meaning, as YAML")
+    _add_settings(command)
+    command.set_defaults(run=_run_config)
+    return parser
+
+
+def _add_settings(command: argparse.ArgumentParser) -> None:
+    group = command.add_argument_group("settings (see `mfslam config`; later ones win)")
+    group.add_argument(
+        "--preset", metavar="NAME", action="append", default=[], help="sensor or robot preset, or a YAML file"
+    )
+    group.add_argument("--config", metavar="FILE", type=Path, help="YAML file with what differs from the defaults")
+    group.add_argument(
+        "--set", metavar="STAGE.KEY=VALUE", action="append", default=[], dest="settings", help="one setting"
+    )
+
+
+def _add_topics(command: argparse.ArgumentParser) -> None:
+    group = command.add_argument_group("sources (found by type when not named)")
+    group.add_argument("--scan-topic", metavar="NAME", help="topic of the laser, or RLASER and such in CARMEN logs")
+    group.add_argument("--odometry-topic", metavar="NAME")
+    group.add_argument("--imu-topic", metavar="NAME")
+    group.add_argument("--wheels-topic", metavar="NAME", help="topic of JointState wheel angles")
+
+
+def _add_reporting(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--json", metavar="FILE", type=Path, help="write the summary there too")
+    command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")
+
+
+def check_neighbours() -> None:
+    """The top-level packages `drivers` and `factors` must be ours: another installed package of that name
+    would take their place in silence. Raises MfslamError."""
+    home = Path(__file__).resolve().parent.parent
+    for name in ("drivers", "factors"):
+        spec = find_spec(name)
+        if spec is None or spec.origin is None:
+            raise MfslamError(f"the package {name!r} is missing: install mfslam again")
+        found = Path(spec.origin).resolve().parent.parent
+        if found != home:
+            raise MfslamError(
+                f"the package {name!r} comes from {found}, not from beside mfslam in {home}: another installed "
+                "package of that name hides ours; use a fresh virtual environment"
+            )
+
+
+def _run_map(args: argparse.Namespace) -> int:
+    from mfslam.commands.map_log import run
+
+    return run(args)
+
+
+def _run_demo(args: argparse.Namespace) -> int:
+    from mfslam.commands.demo import run
+
+    return run(args)
+
+
+def _run_info(args: argparse.Namespace) -> int:
+    from mfslam.commands.info import run
+
+    return run(args)
+
+
+def _run_config(args: argparse.Namespace) -> int:
+    from mfslam.config import describe, load, preset_path
+
+    files = [preset_path(name) for name in args.preset] + ([args.config] if args.config else [])
+    print(describe(load(files, args.settings)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

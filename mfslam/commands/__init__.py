@@ -1,0 +1,1 @@
+"""What the commands do, one module each; `mfslam.cli` parses and dispatches."""
