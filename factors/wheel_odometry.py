@@ -15,7 +15,11 @@ DISTRUSTED_SHARE = 1e-4  # of the information of a step that disagrees with the 
 
 
 def wheel_odometry_factor(
-    i: int, j: int, i_T_j: FloatArray, information: FloatArray
+    i: int, j: int, i_T_j: FloatArray, information: FloatArray, *, trusted: bool = True
 ) -> gtsam.BetweenFactorPose2:
-    """Between factor from wheel motion (pose (3,), information (3, 3))."""
-    return gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*i_T_j), noise_from_information(information))
+    """Between factor from wheel motion (pose (3,), information (3, 3)).
+
+    ``trusted``: False where the wheels were seen to jump: next to nothing is left of the information.
+    """
+    kept = information if trusted else DISTRUSTED_SHARE * information
+    return gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*i_T_j), noise_from_information(kept))
