@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from mfslam.config import DeskewConfig
@@ -11,10 +13,17 @@ from mfslam.types import DeskewedScan, FloatArray, Laser, Scan
 STILL = np.zeros(3)
 
 
+@lru_cache(maxsize=64)
 def reference_offset_s(laser: Laser) -> float:
     """Instant that a scan's points are carried to, relative to its stamp: the stamp itself when the scan
     was sensed around it, else (transport delay) the nearest instant of the scan."""
     return float(np.clip(0.0, laser.offsets_s.min(), laser.offsets_s.max()))
+
+
+@lru_cache(maxsize=64)
+def beam_times_s(laser: Laser) -> FloatArray:
+    """(N,) instants of the beams from the scan's reference instant."""
+    return laser.offsets_s - reference_offset_s(laser)
 
 
 def deskew(
@@ -26,8 +35,7 @@ def deskew(
     beam order are thinned to this spacing after their normals were estimated.
     """
     laser = scan.laser
-    reference_s = reference_offset_s(laser)
-    times_s = laser.offsets_s - reference_s
+    times_s = beam_times_s(laser)
     ranges_m = scan.ranges_m
     twist = body_twist if config.mode == "pose" else STILL
     if config.mode == "range":
@@ -36,12 +44,16 @@ def deskew(
     points, beams = kernels.project_beams(
         ranges_m, laser.angles_rad, times_s, laser.body_T_laser, twist, laser.range_min_m, laser.range_max_m
     )
-    step = abs(float(laser.angles_rad[1] - laser.angles_rad[0])) if laser.angles_rad.size > 1 else 0.0
     normals = kernels.estimate_normals(
-        points, beams, laser.body_T_laser[:2], step, laser.range_sigma_m
+        points, beams, laser.body_T_laser, _beam_step_rad(laser), laser.range_sigma_m
     )
     if spacing_m > 0.0:
         keep = kernels.thin_points(points, normals, spacing_m)
         points, normals, beams = points[keep], normals[keep], beams[keep]
-    reference_ns = scan.stamp_ns + round(reference_s * 1e9)
+    reference_ns = scan.stamp_ns + round(reference_offset_s(laser) * 1e9)
     return DeskewedScan(reference_ns, points, normals, beams)
+
+
+@lru_cache(maxsize=64)
+def _beam_step_rad(laser: Laser) -> float:
+    return float(np.median(np.abs(np.diff(laser.angles_rad)))) if laser.angles_rad.size > 1 else 0.0

@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mfslam import icp, se2
+from mfslam import icp
 from mfslam.config import Config
 from mfslam.deskew import deskew
 from mfslam.kernels import cells, poses
 from mfslam.odometry import step_sigmas
 from mfslam.search import SearchMap, search
 from mfslam.types import DeskewedScan, FloatArray, Match, Scan
-
 
 SURPRISE_GATE = 3.0  # sigmas
 MATCH_SIGMAS = np.array([0.01, 0.01, 0.005])  # of one match, beside those of the wheels (m, m, rad)
@@ -103,7 +102,7 @@ class Frontend:
             self.wheels_trusted = False
         if (motion.step is None or jump) and motion.dt_s > 0.0 and config.deskew.mode != "none":
             # nobody told the motion within the scan: take it from the match itself, and match again
-            twist = se2.log(step) / max(motion.dt_s, 0.02)
+            twist = poses.log(step) / max(motion.dt_s, 0.02)
             cloud = deskew(scan, twist, config.deskew, config.icp.point_spacing_m)
             again = self._match(scan, cloud, match.ref_T_src, motion, free=True)
             if again.inlier_ratio > match.inlier_ratio - 0.05:

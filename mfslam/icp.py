@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mfslam import se2
@@ -38,7 +40,7 @@ def register(
     estimate but is not part of the information returned. The information is that of the point-to-line
     residuals at the solution whatever the method: points that slide along a wall say nothing of it.
     """
-    sigma = np.sqrt(2.0) * range_sigma_m  # both ends of a residual are measured
+    sigma = math.sqrt(2.0) * range_sigma_m  # both ends of a residual are measured
     held = guess if prior is None else prior
     held_information = NO_PRIOR if prior_information is None else prior_information
     radius_m = config.search_radius_m if search_radius_m is None else search_radius_m
@@ -56,7 +58,7 @@ def register(
     scale = config.independent_share * min(1.0, (sigma / max(rms_m, 1e-9)) ** 2)
     return Match(
         ref_T_src=pose,
-        information=with_floor(scale * hessian, config.sigma_floor_m, np.deg2rad(config.sigma_floor_deg)),
+        information=with_floor(scale * hessian, config.sigma_floor_m, math.radians(config.sigma_floor_deg)),
         inlier_ratio=inlier_ratio,
         rms_m=rms_m,
         iterations=iterations,
@@ -99,6 +101,5 @@ def _closed_form(
 def with_floor(information: FloatArray, sigma_m: float, sigma_rad: float) -> FloatArray:
     """Information after an independent error is added to the covariance: (H^-1 + F)^-1, written so that
     a singular H stays singular in the same direction."""
-    floor = np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
-    out = np.linalg.solve((np.eye(3) + floor @ information).T, information.T).T
-    return np.asarray(0.5 * (out + out.T))
+    out: FloatArray = align.add_error(information, sigma_m**2, sigma_rad**2)
+    return out

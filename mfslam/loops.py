@@ -12,10 +12,12 @@ import numpy as np
 from mfslam import icp
 from mfslam.config import Config
 from mfslam.frontend import Keyframe
-from mfslam.kernels import poses, reach
+from mfslam.kernels import poses
 from mfslam.places import Place, PlaceMemory
 from mfslam.search import search
 from mfslam.types import Edge, FloatArray, Match
+from mfslam.uncertainty import RelativeUncertainty
+
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
@@ -61,6 +63,7 @@ class LoopCloser:
         self.keyframes = keyframes
         self.travel_m: list[float] = []
         self.statistics = LoopStatistics()
+        self.uncertainty = RelativeUncertainty()
         self._memory = PlaceMemory(keyframes)
         self._last_search_m = 0.0
         self._last_wide_m = -math.inf
@@ -81,7 +84,6 @@ class LoopCloser:
     def search(
         self,
         world_T_body: FloatArray,
-        edges: list[Edge],
         relative_covariance: Callable[[int, int], FloatArray],
         range_sigma_m: float,
     ) -> list[Loop]:
@@ -89,7 +91,7 @@ class LoopCloser:
         self.statistics.searches += 1
         self._last_search_m = self.travel_m[-1]
         j = len(self.keyframes) - 1
-        candidates = self._candidates(j, world_T_body, edges)
+        candidates = self._candidates(j, world_T_body)
         if not candidates:
             return []
         query = Place.of(self.keyframes, self._members(j, trailing=True), j)
@@ -109,17 +111,16 @@ class LoopCloser:
 
     # --- candidates ---------------------------------------------------------------------------------
 
-    def _candidates(self, j: int, world_T_body: FloatArray, edges: list[Edge]) -> list[Candidate]:
+    def _candidates(self, j: int, world_T_body: FloatArray) -> list[Candidate]:
         """Old places that the newest keyframe may see, the nearest first."""
         config = self.config
         travel = np.array(self.travel_m)
         old = travel < travel[j] - config.min_travel_m
         if not old.any():
             return []
-        variances = reach.relative_sigmas(j, world_T_body, *adjacency(len(travel), edges))
-        sigma = np.sqrt(variances[:, 0])
+        sigma_m, sigma_rad = self.uncertainty.seen_from(j, world_T_body)
         distance = np.hypot(*(world_T_body[:, :2] - world_T_body[j, :2]).T)
-        window = config.window_sigmas * sigma
+        window = config.window_sigmas * sigma_m
         near = old & (distance < config.reach_m * 0.75 + window)
         # one place per half segment of path: passes by the same spot count apart
         stretch = (travel / (config.segment_m / 2.0)).astype(np.int64)
@@ -130,7 +131,7 @@ class LoopCloser:
             Candidate(
                 self._anchor(k),
                 max(config.min_window_m, float(window[k])),
-                min(max(0.1, config.window_sigmas * math.sqrt(variances[k, 1])), 0.5 * math.pi),
+                min(max(0.1, config.window_sigmas * float(sigma_rad[k])), 0.5 * math.pi),
             )
             for k in best.values()
         ]
@@ -293,21 +294,3 @@ def chi2_quantile(probability: float) -> float:
     from scipy.special import chdtri
 
     return float(chdtri(3, 1.0 - probability))
-
-
-def adjacency(count: int, edges: list[Edge]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows (first, other, variances) of the graph for `kernels.reach`: the surest edge of each pair
-    matters most, so all are kept."""
-    usable = [e for e in edges if e.i != e.j and e.kind in ("scan", "loop")]
-    i = np.array([e.i for e in usable], dtype=np.int64)
-    j = np.array([e.j for e in usable], dtype=np.int64)
-    var = np.array([edge_variances(e) for e in usable]).reshape(-1, 2)
-    ends, others = np.concatenate([i, j]), np.concatenate([j, i])
-    order = np.argsort(ends, kind="stable")
-    first = np.searchsorted(ends[order], np.arange(count + 1))
-    return first.astype(np.int64), others[order], np.concatenate([var, var])[order]
-
-
-def edge_variances(edge: Edge) -> tuple[float, float]:
-    covariance = np.linalg.inv(edge.information + np.diag([1.0, 1.0, 10.0]))
-    return float(covariance[0, 0] + covariance[1, 1]), float(covariance[2, 2])

@@ -7,7 +7,6 @@ import math
 
 import numpy as np
 
-from mfslam import se2
 from mfslam.config import OdometryConfig
 from mfslam.kernels import poses
 from mfslam.types import FloatArray
@@ -45,7 +44,10 @@ class OdometryTrack:
         if k == len(self.times_s):
             return self.odom_T_body[-1]
         t0, t1 = self.times_s[k - 1], self.times_s[k]
-        return se2.interpolate(self.odom_T_body[k - 1], self.odom_T_body[k], (time_s - t0) / (t1 - t0))
+        pose: FloatArray = poses.interpolate(
+            self.odom_T_body[k - 1], self.odom_T_body[k], (time_s - t0) / (t1 - t0)
+        )
+        return pose
 
     def twist_over(self, start_s: float, end_s: float, config: OdometryConfig) -> FloatArray:
         """Mean body twist (3,) over an interval, widened where stamps are too coarse or lie."""
@@ -57,7 +59,7 @@ class OdometryTrack:
         t1 = max(min(end_s + pad_s, self.times_s[-1]), self.times_s[0])
         if t1 - t0 < 1e-3:
             return np.zeros(3)
-        twist = se2.log(poses.between(self.pose_at(t0), self.pose_at(t1))) / (t1 - t0)
+        twist: FloatArray = poses.log(poses.between(self.pose_at(t0), self.pose_at(t1))) / (t1 - t0)
         if not is_plausible(twist, config):
             return np.zeros(3)
         return twist

@@ -170,7 +170,7 @@ class Slam:
         if step is not None:
             twist = self._odometry.twist_over(start_s, end_s, config.odometry)
         elif dt_s > 0.0:
-            twist = se2.log(self._frontend.last_step) / max(dt_s, 0.02)
+            twist = poses.log(self._frontend.last_step) / max(dt_s, 0.02)
         else:
             twist = np.zeros(3)
         if turn_rad is not None and dt_s > 0.0:
@@ -210,7 +210,9 @@ class Slam:
                 return
             previous = self.keyframes[-2]
             prev_T_body = poses.between(previous.local_T_body, keyframe.local_T_body)
-            self.graph.add_keyframe(prev_T_body, list(self._sequential_edges(previous, keyframe, step)))
+            edges = list(self._sequential_edges(previous, keyframe, step))
+            self.graph.add_keyframe(prev_T_body, edges)
+            self.loops.uncertainty.add(edges[0])
         if self.loops.due():
             self._close_loops()
 
@@ -246,11 +248,10 @@ class Slam:
             world_T_body = self.graph.poses()
         with self.clock.time("loop closure"):
             sigma_m = self.scans[-1].laser.range_sigma_m
-            loops = self.loops.search(
-                world_T_body, self.graph.live_edges(), self.graph.relative_covariance, sigma_m
-            )
+            loops = self.loops.search(world_T_body, self.graph.relative_covariance, sigma_m)
         for loop in loops:
             self.graph.add_edge(loop.edge())
+            self.loops.uncertainty.add(loop.edge())
 
     # --- the end ------------------------------------------------------------------------------------
 

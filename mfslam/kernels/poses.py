@@ -66,3 +66,22 @@ def transform_points(a_T_b: FloatArray, points: FloatArray, normals: FloatArray,
         out[k, 1] = a_T_b[1] + s * points[k, 0] + c * points[k, 1]
         out[k, 2] = c * normals[k, 0] - s * normals[k, 1]
         out[k, 3] = s * normals[k, 0] + c * normals[k, 1]
+
+
+@njit(cache=True, nogil=True)
+def log(pose: FloatArray) -> FloatArray:
+    """Twist that reaches a pose in unit time."""
+    w = wrap_angle(pose[2])
+    half = 0.5 * w
+    half_cot = 1.0 - w * w / 12.0 if abs(w) < 1e-6 else half / math.tan(half)
+    out = np.empty(3)
+    out[0] = half_cot * pose[0] + half * pose[1]
+    out[1] = -half * pose[0] + half_cot * pose[1]
+    out[2] = w
+    return out
+
+
+@njit(cache=True, nogil=True)
+def interpolate(w_T_a: FloatArray, w_T_b: FloatArray, share: float) -> FloatArray:
+    """Pose at ``share`` of the constant-twist path from a (0) to b (1)."""
+    return advance(w_T_a, log(between(w_T_a, w_T_b)), share)
