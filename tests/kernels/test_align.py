@@ -105,7 +105,7 @@ def svd_fit(d, m):
     return rotation, c_m - rotation @ c_d
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80, deadline=None, derandomize=True)
 @given(st.integers(0, 100_000), st.integers(3, 30), st.floats(0.0, 5.0), st.booleans())
 def test_rigid_fit_is_the_svd_solution(seed, count, noise, mirrored):
     """Mirrored partners: where the plain V U^T would be a reflection."""
