@@ -242,6 +242,12 @@ class MapConfig(_Stage):
     no_return_free_m: float = Field(
         0.0, ge=0, description="Free space taken from beams without return, m along the beam. 0: none."
     )
+    pose_sigma_m: float = Field(
+        0.015,
+        ge=0,
+        description="What is left of the poses' errors, one sigma, m: with the range's noise it says how far a "
+        "wall's hits are spread, and so what is brought to one cell.",
+    )
     min_hits: int = Field(2, ge=1, description="Fewer hits than this never make a cell occupied.")
     occupied_share: float = Field(
         0.25, gt=0, lt=1, description="A cell is occupied when hits / (hits + passes) is at least this."

@@ -18,8 +18,8 @@ from mfslam.kernels import raytrace, walls
 from mfslam.types import (
     BoolArray,
     FloatArray,
+    Int8Array,
     IntArray,
-    Laser,
     MfslamError,
     OccupancyGrid,
     PointCloud,
@@ -29,9 +29,7 @@ from mfslam.types import (
 MAX_CELLS = 400_000_000
 _CHUNK_BEAMS = 100_000
 _BORDER_CELLS = 2
-# a cell with hits that is no wall is free when at least this share of its beams went on through it; fewer
-# are noise, and the cell lies behind the wall
-_FREE_SHARE = 0.05
+_MIN_FREE_M2 = 0.05  # smaller pockets of free space are crumbs behind walls and windows
 
 
 def render_map(
@@ -43,7 +41,7 @@ def render_map(
     ``twists`` (S, 3): body velocities held through each scan, m/s and rad/s; ``config.deskew.mode`` says how
     they are used (eqs. 14-24). Raises MfslamError when the map would have too many cells.
     """
-    low_m, high_m = np.full(2, np.inf), np.full(2, -np.inf)
+    bounds_m = np.array([np.inf, np.inf, -np.inf, -np.inf])
     points: list[FloatArray] = [np.zeros((0, 2))]
     stamps: list[IntArray] = [np.zeros(0, np.int64)]
     sigma_m = 0.0
@@ -51,20 +49,28 @@ def render_map(
         met = beams.kinds == raytrace.HIT
         points.append(beams.ends_m[met])
         stamps.append(beams.stamps_ns[met])
-        low_m, high_m = beams.grow_bounds(low_m, high_m)
-        sigma_m = max(sigma_m, _blur_sigma_m(beams.laser, config.map))
+        beams.limit(config.map.max_range_m, bounds_m)
+        sigma_m = max(sigma_m, beams.sigma_m)
     cloud = PointCloud(np.concatenate(points), np.concatenate(stamps))
-    points.clear()
-    stamps.clear()
+    del points, stamps
 
-    origin_m, shape = _frame_of(low_m, high_m, config.map.resolution_m)
-    hits, passes = np.zeros(shape, np.uint16), np.zeros(shape, np.uint16)
+    resolution_m = config.map.resolution_m
+    origin_m, shape = _frame_of(bounds_m, resolution_m)
+    counts = CellCounts(*(np.zeros(shape, np.uint16) for _ in range(3)))
     for beams in _place_all(scans, world_T_body, twists, config):
-        raytrace.trace_beams(
-            beams.starts_m.reshape(-1, 2), beams.stops_m.reshape(-1, 2), beams.ends_m.reshape(-1, 2),
-            beams.kinds.ravel(), beams.in_range.ravel(), origin_m, config.map.resolution_m, hits, passes,
-        )  # fmt: skip
-    return OccupancyGrid(origin_m, config.map.resolution_m, judge_cells(hits, passes, sigma_m, config.map)), cloud
+        beams.limit(config.map.max_range_m, bounds_m)
+        beams.trace(counts, origin_m, resolution_m)
+    return OccupancyGrid(origin_m, resolution_m, judge_cells(counts, sigma_m, config.map)), cloud
+
+
+@dataclass(frozen=True, eq=False)
+class CellCounts:
+    """What the beams say of each cell (rows, cols): ``hits``; ``passes`` that went on well beyond it;
+    ``nears``, passes that ended within the blur of a surface there."""
+
+    hits: raytrace.CountArray
+    passes: raytrace.CountArray
+    nears: raytrace.CountArray
 
 
 # --- beams -------------------------------------------------------------------------------------------
@@ -72,23 +78,27 @@ def render_map(
 
 @dataclass(frozen=True, eq=False)
 class _Beams:
-    """Beams of successive scans of one laser in the world: ``starts_m``, ``stops_m`` (end of what they tell
-    to be free), ``ends_m`` (C, N, 2); ``kinds``, ``in_range`` (the end counts in the map), ``stamps_ns`` (C, N)."""
+    """Beams of successive scans of one laser: ``starts_m``, ``ends_m`` (C, N, 2) in the world, ``kinds`` and
+    ``stamps_ns`` (C, N). ``sigma_m``: how far an end may lie off its wall, one sigma."""
 
-    laser: Laser
     stamps_ns: IntArray
     starts_m: FloatArray
-    stops_m: FloatArray
     ends_m: FloatArray
     kinds: raytrace.KindArray
-    in_range: BoolArray
+    sigma_m: float
 
-    def grow_bounds(self, low_m: FloatArray, high_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Corners (2,) that hold these beams too, as far as the map shows them."""
-        for part in (self.starts_m.reshape(-1, 2), self.stops_m.reshape(-1, 2), self.ends_m[self.in_range]):
-            if len(part):
-                low_m, high_m = np.minimum(low_m, part.min(axis=0)), np.maximum(high_m, part.max(axis=0))
-        return low_m, high_m
+    def limit(self, max_range_m: float, bounds_m: FloatArray) -> None:
+        """Cut these beams at ``max_range_m`` and widen ``bounds_m`` (4,) to hold them."""
+        raytrace.limit_range(self.starts_m, self.ends_m, self.kinds, max_range_m, bounds_m)
+
+    def trace(self, counts: CellCounts, origin_m: FloatArray, resolution_m: float) -> None:
+        """Add these beams to the counts of a grid that starts at ``origin_m``."""
+        stops = np.empty_like(self.starts_m)
+        raytrace.stop_short(self.starts_m, self.ends_m, self.kinds, self.sigma_m, stops)
+        raytrace.trace_beams(
+            self.starts_m.reshape(-1, 2), stops.reshape(-1, 2), self.ends_m.reshape(-1, 2), self.kinds.ravel(),
+            origin_m, resolution_m, counts.hits, counts.passes, counts.nears,
+        )  # fmt: skip
 
 
 def _place_all(
@@ -114,35 +124,26 @@ def _place(scans: Sequence[Scan], world_T_body: FloatArray, twists: FloatArray, 
         ranges_m = (ranges_m + twists[:, :1] * times_s).astype(np.float32)  # eqs. 19-24
     held = twists if config.deskew.mode == "pose" else np.zeros_like(twists)
     starts = np.empty((*ranges_m.shape, 2))
-    stops, ends = np.empty_like(starts), np.empty_like(starts)
-    kinds, in_range = np.empty(ranges_m.shape, np.int8), np.empty(ranges_m.shape, np.bool_)
+    ends, kinds = np.empty_like(starts), np.empty(ranges_m.shape, np.int8)
     limits = (laser.range_min_m, laser.range_max_m, config.map.no_return_free_m)
     raytrace.place_beams(
         ranges_m, world_T_body, held, laser.angles_rad, times_s, laser.body_T_laser, limits,
         starts, ends, kinds,
     )  # fmt: skip
-    sigma_m = _blur_sigma_m(laser, config.map)
-    raytrace.stop_short(starts, ends, kinds, sigma_m, config.map.max_range_m, stops, in_range)
     offsets_ns = np.round(laser.offsets_s * 1e9).astype(np.int64)
     stamps = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)[:, None] + offsets_ns
-    return _Beams(laser, stamps, starts, stops, ends, kinds, in_range)
-
-
-def _blur_sigma_m(laser: Laser, config: MapConfig) -> float:
-    """How far a hit lies off its wall, one sigma: the range's noise and what is left of the poses' errors."""
-    return math.hypot(laser.range_sigma_m, config.pose_sigma_m)
+    # noise of the range, and what is left of the poses' errors
+    sigma_m = math.hypot(laser.range_sigma_m, config.map.pose_sigma_m)
+    return _Beams(stamps, starts, ends, kinds, sigma_m)
 
 
 # --- cells -------------------------------------------------------------------------------------------
 
 
-def _frame_of(low_m: FloatArray, high_m: FloatArray, resolution_m: float) -> tuple[FloatArray, tuple[int, int]]:
-    """Origin, on a whole multiple of the resolution, and (rows, cols) of a grid that holds both corners.
-
-    Raises MfslamError when that is too many cells.
-    """
-    if not np.isfinite([low_m, high_m]).all():
-        low_m = high_m = np.zeros(2)
+def _frame_of(bounds_m: FloatArray, resolution_m: float) -> tuple[FloatArray, tuple[int, int]]:
+    """Origin, on a whole multiple of the resolution, and (rows, cols) of a grid that holds the bounds
+    x_min, y_min, x_max, y_max. Raises MfslamError when that is too many cells."""
+    low_m, high_m = (bounds_m[:2], bounds_m[2:]) if np.isfinite(bounds_m).all() else np.zeros((2, 2))
     first = np.floor(low_m / resolution_m) - _BORDER_CELLS
     cols, rows = (np.floor(high_m / resolution_m) + 1 + _BORDER_CELLS - first).tolist()
     if cols * rows > MAX_CELLS:
@@ -157,23 +158,32 @@ def _frame_of(low_m: FloatArray, high_m: FloatArray, resolution_m: float) -> tup
     return first * resolution_m, (int(rows), int(cols))
 
 
-def judge_cells(
-    hits: raytrace.CountArray, passes: raytrace.CountArray, sigma_m: float, config: MapConfig
-) -> np.ndarray:
-    """Occupancy (rows, cols): 100 occupied, 0 free, -1 unknown, of hits and passes per cell.
+def judge_cells(counts: CellCounts, sigma_m: float, config: MapConfig) -> Int8Array:
+    """Occupancy (rows, cols) of the cells' counts: 100 occupied, 0 free, -1 unknown.
 
     ``sigma_m``: spread of the hits across a wall, which is thinned to its ridge.
     """
-    share = np.float32(config.occupied_share)
-    met = hits > 0
-    occupied = (hits >= config.min_hits) & (hits * (1.0 - share) >= passes * share)
-    _thin(occupied, hits, sigma_m / config.resolution_m)
-    free = passes > 0
-    free[met] = passes[met] >= _FREE_SHARE * (hits[met].astype(np.float32) + passes[met])
-    occupancy = np.full(hits.shape, -1, np.int8)
+    met = np.nonzero(counts.hits)
+    hits, passes, nears = (c[met].astype(np.int64) for c in (counts.hits, counts.passes, counts.nears))
+    occupied = np.zeros(counts.hits.shape, np.bool_)
+    occupied[met] = (hits >= config.min_hits) & (hits >= config.occupied_share * (hits + passes))
+    _thin(occupied, counts.hits, sigma_m / config.resolution_m)
+    free = (counts.passes > 0) | (counts.nears > 0)
+    free[met] = passes + nears >= hits  # else the hits are noise, and the cell lies behind its wall
+    free &= ~occupied
+    _drop_crumbs(free, _MIN_FREE_M2 / config.resolution_m**2)
+    occupancy = np.full(occupied.shape, -1, np.int8)
     occupancy[free] = 0
     occupancy[occupied] = 100
     return occupancy
+
+
+def _drop_crumbs(free: BoolArray, min_cells: float) -> None:
+    """Clear connected patches of fewer cells."""
+    from scipy import ndimage
+
+    labels, _ = ndimage.label(free)
+    free &= np.bincount(labels.ravel())[labels] >= min_cells
 
 
 def _thin(occupied: BoolArray, hits: raytrace.CountArray, sigma_cells: float) -> None:

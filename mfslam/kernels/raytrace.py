@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from mfslam.types import BoolArray, Float32Array, FloatArray
+from mfslam.types import Float32Array, FloatArray
 
 CountArray = npt.NDArray[np.uint16]
 KindArray = npt.NDArray[np.int8]
@@ -67,37 +67,48 @@ def place_beams(
 
 
 @njit(cache=True, nogil=True)
-def stop_short(
-    starts: FloatArray,
-    ends: FloatArray,
-    kinds: KindArray,
-    sigma: float,
-    max_range: float,
-    stops: FloatArray,
-    hit: BoolArray,
+def limit_range(
+    starts: FloatArray, ends: FloatArray, kinds: KindArray, max_range: float, bounds: FloatArray
 ) -> None:
-    """Where each beam (C, N) stops to tell free space: two sigmas off the surface that it met.
+    """Cut beams (C, N) at ``max_range``: beyond it they tell free space only. Widen ``bounds`` (4,), x_min,
+    y_min, x_max, y_max, to hold them."""
+    for k in range(ends.shape[0]):
+        for j in range(ends.shape[1]):
+            if kinds[k, j] == SILENT:
+                continue
+            x, y = starts[k, j, 0], starts[k, j, 1]
+            dx, dy = ends[k, j, 0] - x, ends[k, j, 1] - y
+            length = math.sqrt(dx * dx + dy * dy)
+            if length > max_range:
+                ends[k, j, 0], ends[k, j, 1] = x + max_range / length * dx, y + max_range / length * dy
+                kinds[k, j] = FREE
+            bounds[0], bounds[1] = min(bounds[0], x, ends[k, j, 0]), min(bounds[1], y, ends[k, j, 1])
+            bounds[2], bounds[3] = max(bounds[2], x, ends[k, j, 0]), max(bounds[3], y, ends[k, j, 1])
+
+
+@njit(cache=True, nogil=True)
+def stop_short(
+    starts: FloatArray, ends: FloatArray, kinds: KindArray, sigma: float, stops: FloatArray
+) -> None:
+    """Where each beam (C, N) leaves space that is surely free: two sigmas off the surface that it met.
 
     A beam that grazes a wall runs along inside the wall's blur before it ends, and would clear the wall
     that others have found: the angle to the surface, by the neighbouring beams, says how far before its
-    end it must stop. Beyond ``max_range`` nothing is told: ``hit`` holds for nearer ends only.
+    end it must stop. Fills ``stops`` (C, N, 2).
     """
-    n = ends.shape[1]
     gap = 2.0 * sigma
     for k in range(ends.shape[0]):
-        for j in range(n):
+        for j in range(ends.shape[1]):
             dx, dy = ends[k, j, 0] - starts[k, j, 0], ends[k, j, 1] - starts[k, j, 1]
             length = math.sqrt(dx * dx + dy * dy)
-            reach = min(length, max_range)
-            hit[k, j] = kinds[k, j] == HIT and length <= max_range
-            if hit[k, j]:
-                sine = 0.0
-                for side in (-1, 1):
-                    sine = max(sine, _sine_to_surface(ends[k], kinds[k], j, side, dx, dy, length, sigma))
-                if sine == 0.0:
-                    sine = 1.0
-                reach -= min(gap / max(sine, 1e-3), max(gap, 0.5 * length))
-            share = max(0.0, reach / length) if length > 0.0 else 0.0
+            share = 1.0
+            if kinds[k, j] == HIT and length > 0.0:
+                sine = max(
+                    _sine_to_surface(ends[k], kinds[k], j, -1, dx, dy, length, sigma),
+                    _sine_to_surface(ends[k], kinds[k], j, 1, dx, dy, length, sigma),
+                )
+                short = gap if sine < 0.0 else min(gap / max(sine, 1e-3), max(gap, 0.5 * length))
+                share = max(0.0, 1.0 - short / length)
             stops[k, j, 0] = starts[k, j, 0] + share * dx
             stops[k, j, 1] = starts[k, j, 1] + share * dy
 
@@ -107,7 +118,7 @@ def _sine_to_surface(
     ends: FloatArray, kinds: KindArray, j: int, side: int, dx: float, dy: float, length: float, sigma: float
 ) -> float:
     """Sine of the angle between a beam (dx, dy) and the surface towards the first neighbour that is far
-    enough for the noise not to matter; 0 where there is none."""
+    enough for the noise not to matter; -1 where there is none."""
     for step in range(1, 9):
         q = j + side * step
         if q < 0 or q >= ends.shape[0]:
@@ -117,8 +128,9 @@ def _sine_to_surface(
         tx, ty = ends[q, 0] - ends[j, 0], ends[q, 1] - ends[j, 1]
         spacing = math.sqrt(tx * tx + ty * ty)
         if spacing > 5.0 * sigma:
-            return abs(dx * ty - dy * tx) / (length * spacing)
-    return 0.0
+            sine: float = abs(dx * ty - dy * tx) / (length * spacing)
+            return sine
+    return -1.0
 
 
 @njit(cache=True, nogil=True)
@@ -127,52 +139,50 @@ def trace_beams(
     stops: FloatArray,
     ends: FloatArray,
     kinds: KindArray,
-    hit: BoolArray,
     origin: FloatArray,
     cell: float,
     hits: CountArray,
     passes: CountArray,
+    nears: CountArray,
 ) -> None:
-    """Count for each beam (B, 2) one pass in every cell from its start to its stop, and one hit at its end.
+    """Count for each beam (B, 2) a pass in every cell from start to stop, a near pass in those from there to
+    the end, and a hit in the end's cell. The last cell of a beam that met nothing is one more pass.
 
-    Walks the grid cell by cell (Amanatides and Woo, A fast voxel traversal algorithm, 1987). The cell of a
-    hit gets no pass of the same beam. Counts that would run over are halved, both of the cell, so that their
-    ratio stays. The grids (rows, cols) must hold every point.
+    Walks the grid cell by cell (Amanatides and Woo, A fast voxel traversal algorithm, 1987) in fixed point.
+    Counts end at 65535. The grids (rows, cols) are contiguous and at least one cell wider than the beams all
+    around.
     """
+    cols = hits.shape[1]
+    hits_flat, passes_flat, nears_flat = hits.ravel(), passes.ravel(), nears.ravel()
     for b in range(starts.shape[0]):
         if kinds[b] == SILENT:
             continue
         x0, y0 = (starts[b, 0] - origin[0]) / cell, (starts[b, 1] - origin[1]) / cell
-        x1, y1 = (stops[b, 0] - origin[0]) / cell, (stops[b, 1] - origin[1]) / cell
-        ix, iy = int(x0), int(y0)
-        stop_x, stop_y = int(x1), int(y1)
-        end_x, end_y = int((ends[b, 0] - origin[0]) / cell), int((ends[b, 1] - origin[1]) / cell)
-        dx, dy = x1 - x0, y1 - y0
-        step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
-        tdx = abs(1.0 / dx) if dx != 0.0 else np.inf
-        tdy = abs(1.0 / dy) if dy != 0.0 else np.inf
-        tx = (ix + 1 - x0 if dx > 0 else x0 - ix) * tdx if dx != 0.0 else np.inf
-        ty = (iy + 1 - y0 if dy > 0 else y0 - iy) * tdy if dy != 0.0 else np.inf
-        for _ in range(abs(stop_x - ix) + abs(stop_y - iy)):
-            _count(passes, hits, iy, ix)
-            # on a tie or a rounding error never walk past the last column or row
-            if iy == stop_y or (tx < ty and ix != stop_x):
-                tx += tdx
-                ix += step_x
-            else:
-                ty += tdy
-                iy += step_y
-        if not hit[b]:
-            _count(passes, hits, iy, ix)
-        else:
-            if ix != end_x or iy != end_y:
-                _count(passes, hits, iy, ix)
-            _count(hits, passes, end_y, end_x)
+        x1, y1 = (ends[b, 0] - origin[0]) / cell, (ends[b, 1] - origin[1]) / cell
+        ix, iy, end_x, end_y = int(x0), int(y0), int(x1), int(y1)
+        stop_x, stop_y = int((stops[b, 0] - origin[0]) / cell), int((stops[b, 1] - origin[1]) / cell)
+        across, along = abs(x1 - x0), abs(y1 - y0)
+        step_x, step_y = (1 if x1 > x0 else -1), (cols if y1 > y0 else -cols)
+        # how much later, times both speeds, the beam enters the next row than the next column
+        to_col = (ix + 1 - x0 if x1 > x0 else x0 - ix) * along
+        to_row = (iy + 1 - y0 if y1 > y0 else y0 - iy) * across
+        scale = 2.0**40 / max(across + along, 1e-9)
+        later = int((to_row - to_col) * scale)
+        per_col, per_row = int(along * scale), int(across * scale)
+        steps = abs(end_x - ix) + abs(end_y - iy)
+        sure = min(steps, abs(stop_x - ix) + abs(stop_y - iy) + 1)
+        at = iy * cols + ix
+        for step in range(steps):
+            _count(passes_flat if step < sure else nears_flat, at)
+            # which way a beam goes next cannot be predicted: masks, not branches (-1: into the next row)
+            in_row = later >> 63
+            at += step_x + (in_row & (step_y - step_x))
+            later += (in_row & (per_col + per_row)) - per_col
+        _count(hits_flat if kinds[b] == HIT else passes_flat, end_y * cols + end_x)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _count(counts: CountArray, others: CountArray, row: int, col: int) -> None:
-    if counts[row, col] == FULL:
-        counts[row, col] >>= 1
-        others[row, col] >>= 1
-    counts[row, col] += 1
+def _count(counts: CountArray, at: int) -> None:
+    k = np.uintp(at)  # unsigned: no check for negative indices
+    known = counts[k]
+    counts[k] = known + (known != FULL)
