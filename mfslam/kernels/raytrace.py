@@ -164,8 +164,8 @@ def trace_beams(
         across, along = abs(x1 - x0), abs(y1 - y0)
         step_x, step_y = (1 if x1 > x0 else -1), (cols if y1 > y0 else -cols)
         # how much later, times both speeds, the beam enters the next row than the next column
-        to_col = (ix + 1 - x0 if x1 > x0 else x0 - ix) * along
-        to_row = (iy + 1 - y0 if y1 > y0 else y0 - iy) * across
+        to_col = (ix + 1 - x0 if x1 > x0 else x0 - ix if x1 < x0 else 1.0) * along
+        to_row = (iy + 1 - y0 if y1 > y0 else y0 - iy if y1 < y0 else 1.0) * across
         scale = 2.0**40 / max(across + along, 1e-9)
         later = int((to_row - to_col) * scale)
         per_col, per_row = int(along * scale), int(across * scale)
