@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-import math
-
 import gtsam
-import numpy as np
 
+from mfslam.kernels import matrices
 from mfslam.types import FloatArray
 
 RELATIVE_FLOOR = 1e-9
@@ -23,16 +22,12 @@ def noise_from_information(information: FloatArray) -> gtsam.noiseModel.Gaussian
     weak, a strong one does not notice.
     Raises ValueError for a matrix that is not finite or clearly not positive semidefinite.
     """
-    symmetric = 0.5 * (information + information.T)
-    top = float(symmetric.trace())
-    if symmetric.shape != (3, 3) or not math.isfinite(top + float(symmetric.sum())):
-        raise ValueError(f"expected a finite 3x3 information matrix, got {information!r}")
-    try:
-        lower = np.linalg.cholesky(symmetric + max(ABSOLUTE_FLOOR, RELATIVE_FLOOR * top) * np.eye(3))
-    except np.linalg.LinAlgError:
-        values = np.linalg.eigvalsh(symmetric)
-        raise ValueError(f"information matrix is not positive semidefinite: eigenvalues {values}") from None
-    return gtsam.noiseModel.Gaussian.SqrtInformation(np.ascontiguousarray(lower.T))
+    if information.shape != (3, 3):
+        raise ValueError(f"expected a 3x3 information matrix, got shape {information.shape}")
+    root = matrices.upper_root(information, ABSOLUTE_FLOOR, RELATIVE_FLOOR)
+    if not math.isfinite(root[0, 0] + root[1, 1] + root[2, 2]):
+        raise ValueError(f"information matrix is not finite or not positive semidefinite: {information!r}")
+    return gtsam.noiseModel.Gaussian.SqrtInformation(root)
 
 
 def robust_noise(noise: gtsam.noiseModel.Base, kernel: str, scale: float) -> gtsam.noiseModel.Robust:

@@ -14,20 +14,22 @@ from mfslam.config import GraphConfig
 from mfslam.kernels import poses as pose_kernels
 from mfslam.types import Edge, FloatArray, MfslamError
 
+SETTLED = 0.02  # m or rad: a loop that moves the newest pose less needs no further iteration
 PRIOR_SIGMAS = np.array([1e-4, 1e-4, 1e-5])  # the first pose defines the world
 
 
 class PoseGraph:
     """Keyframe poses and the edges between them.
 
-    New keyframes and edges wait until an estimate is asked for: updates of many poses at once cost
-    little more than updates of one.
+    New keyframes and edges wait until a loop closes or a marginal is asked for: until then nothing moves,
+    and an update of many poses at once costs little more than one of a single pose.
     """
 
     def __init__(self, config: GraphConfig) -> None:
         self.config = config
         self.edges: list[Edge] = []
-        self._poses: list[FloatArray] = []
+        self._count = 0
+        self._world_T_body = np.empty((64, 3))
         self._isam = self._new_isam()
         self._pending_factors = gtsam.NonlinearFactorGraph()
         self._pending_edges: list[int] = []
@@ -36,7 +38,11 @@ class PoseGraph:
         self._removed: set[int] = set()
 
     def __len__(self) -> int:
-        return len(self._poses)
+        return self._count
+
+    @property
+    def _poses(self) -> FloatArray:
+        return self._world_T_body[: self._count]
 
     def add_first(self, world_T_body: FloatArray) -> None:
         """The keyframe that the world hangs on."""
@@ -75,12 +81,10 @@ class PoseGraph:
         return [e for n, e in enumerate(self.edges) if n not in self._removed]
 
     def poses(self) -> FloatArray:
-        """(K, 3) world_T_body of every keyframe: the incremental estimate."""
-        self._flush()
-        return np.array(self._poses)
-
-    def latest_pose(self) -> FloatArray:
-        return self._poses[-1]
+        """(K, 3) world_T_body of every keyframe, as the latest solve has them."""
+        if any(n >= 0 and self.edges[n].kind == "loop" for n in self._pending_edges):
+            self._flush()
+        return self._poses.copy()
 
     def relative_covariance(self, i: int, j: int) -> FloatArray:
         """(3, 3) covariance of i_T_j, in its tangent, from the joint marginal of both poses."""
@@ -92,10 +96,6 @@ class PoseGraph:
         ii, ij, jj = joint.at(i, i), joint.at(i, j), joint.at(j, j)
         cross = jacobian @ ij
         return np.asarray(jacobian @ ii @ jacobian.T + cross + cross.T + jj)
-
-    def poses_solved(self) -> FloatArray:
-        """(K, 3) poses of the last batch solve."""
-        return np.array(self._poses)
 
     def optimize(self) -> list[Edge]:
         """Batch solve of the whole graph; robust on loop edges by graduated non-convexity.
@@ -121,7 +121,7 @@ class PoseGraph:
             weights[:] = np.asarray(gnc.getWeights())[1:]
         else:
             values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-        self._poses = list(gtsam.utilities.extractPose2(values))
+        self._poses[:] = gtsam.utilities.extractPose2(values)
         return [dataclasses.replace(e, weight=float(w)) for e, w in zip(edges, weights, strict=True)]
 
     def optimize_with(self, edges: list[Edge]) -> list[Edge]:
@@ -132,7 +132,7 @@ class PoseGraph:
         """
         used = [e for e in edges if e.weight >= 0.5]
         values = gtsam.LevenbergMarquardtOptimizer(self._graph(used, robust=True), self._values()).optimize()
-        self._poses = list(gtsam.utilities.extractPose2(values))
+        self._poses[:] = gtsam.utilities.extractPose2(values)
         return [
             dataclasses.replace(e, weight=self._kernel_weight(e)) if e.weight >= 0.5 else e for e in edges
         ]
@@ -147,8 +147,11 @@ class PoseGraph:
         return gtsam.ISAM2(params)
 
     def _add_pose(self, world_T_body: FloatArray) -> None:
-        self._pending_values.insert(len(self._poses), gtsam.Pose2(*world_T_body))
-        self._poses.append(world_T_body)
+        if self._count == len(self._world_T_body):
+            self._world_T_body = np.concatenate([self._world_T_body, np.empty_like(self._world_T_body)])
+        self._pending_values.insert(self._count, gtsam.Pose2(*world_T_body))
+        self._world_T_body[self._count] = world_T_body
+        self._count += 1
 
     def _factor(self, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:
         if edge.kind == "heading":
@@ -199,19 +202,19 @@ class PoseGraph:
             self._rebuild()
         self._pending_factors, self._pending_edges = gtsam.NonlinearFactorGraph(), []
         self._pending_values = gtsam.Values()
-        if closes_loop:
+        before = self._poses[-1].copy()
+        self._read_back()
+        if closes_loop and np.abs(self._poses[-1] - before).max() > SETTLED:
             self._settle()
-        else:
-            self._read_back()
 
     def _settle(self) -> None:
-        """A few more iterations after the graph has changed shape."""
+        """More iterations after the graph has changed its shape."""
         for _ in range(2):
             self._isam.update()
         self._read_back()
 
     def _read_back(self) -> None:
-        self._poses = list(gtsam.utilities.extractPose2(self._isam.calculateEstimate()))
+        self._poses[:] = gtsam.utilities.extractPose2(self._isam.calculateEstimate())
 
     def _rebuild(self) -> None:
         """A failed update leaves ISAM2 corrupt: start anew from the record of edges and poses."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from mfslam import se2
 from mfslam.config import IcpConfig
-from mfslam.kernels import align, cells
+from mfslam.kernels import align, cells, matrices
 from mfslam.kernels.cells import CellTable
 from mfslam.types import FloatArray, Match
 
@@ -42,12 +42,10 @@ def register(
     """
     sigma = math.sqrt(2.0) * range_sigma_m  # both ends of a residual are measured
     held = guess if prior is None else prior
-    held_information = NO_PRIOR if prior_information is None else prior_information
+    held_information = NO_PRIOR if prior is None or prior_information is None else prior_information
     radius_m = config.search_radius_m if search_radius_m is None else search_radius_m
     if config.method == "point_to_point":
-        outcome = _closed_form(
-            reference, points_m, normals, guess, held, held_information, sigma, radius_m, config
-        )
+        outcome = _closed_form(reference, points_m, normals, guess, sigma, radius_m, config)
     else:
         outcome = align.point_to_line(
             reference, CELL_M, points_m, normals, guess, held, held_information, sigma,
@@ -56,17 +54,10 @@ def register(
     pose, hessian, inlier_ratio, rms_m, iterations, converged = outcome
     # residuals above the model's sigma (quantisation, rough walls) take information away
     scale = config.independent_share * min(1.0, (sigma / max(rms_m, 1e-9)) ** 2)
-    return Match(
-        ref_T_src=pose,
-        information=with_floor(scale * hessian, config.sigma_floor_m, math.radians(config.sigma_floor_deg)),
-        inlier_ratio=inlier_ratio,
-        rms_m=rms_m,
-        iterations=iterations,
-        converged=converged,
-    )
-
-
-_Outcome = tuple[FloatArray, FloatArray, float, float, int, bool]
+    information = with_floor(scale * hessian, config.sigma_floor_m, math.radians(config.sigma_floor_deg))
+    if config.method == "point_to_point" and held_information.any():
+        pose = _merged(pose, information, held, held_information)
+    return Match(pose, information, inlier_ratio, rms_m, iterations, converged)
 
 
 def _closed_form(
@@ -74,32 +65,34 @@ def _closed_form(
     points_m: FloatArray,
     normals: FloatArray,
     guess: FloatArray,
-    prior: FloatArray,
-    prior_information: FloatArray,
     sigma: float,
     search_radius_m: float,
     config: IcpConfig,
-) -> _Outcome:
-    """The paper's point-to-point registration (eqs. 25-39), which knows no prior: its solution and the
-    prior are merged at the end, each weighing as much as its information."""
+) -> tuple[FloatArray, FloatArray, float, float, int, bool]:
+    """The paper's point-to-point registration (eqs. 25-39), with the point-to-line information there."""
     source = reference_table(np.hstack([points_m, normals]))
     pose, iterations, converged = align.point_to_point(
         reference, source, CELL_M, guess, search_radius_m, config.final_radius_m, config.max_iterations
     )
-    # one evaluation of the point-to-line residuals there; its step is not taken
+    # one evaluation of the point-to-line residuals; its step is not taken
     _, hessian, inlier_ratio, rms_m, _, _ = align.point_to_line(
         reference, CELL_M, points_m, normals, pose, pose, NO_PRIOR, sigma,
         config.kernel_sigmas, config.final_radius_m, config.final_radius_m, 1,
     )  # fmt: skip
-    if prior_information.any():
-        pull = prior_information @ se2.log(se2.between(pose, prior))
-        step = np.linalg.lstsq(hessian + prior_information, pull, rcond=None)[0]
-        pose = se2.compose(pose, se2.exp(step))
     return pose, hessian, inlier_ratio, rms_m, iterations, converged
+
+
+def _merged(
+    pose: FloatArray, information: FloatArray, prior: FloatArray, prior_information: FloatArray
+) -> FloatArray:
+    """Two estimates of one pose, each weighing as much as its information: the closed form knows no prior."""
+    pull = prior_information @ se2.log(se2.between(pose, prior))
+    step: FloatArray = np.asarray(np.linalg.lstsq(information + prior_information, pull, rcond=None)[0])
+    return se2.compose(pose, se2.exp(step))
 
 
 def with_floor(information: FloatArray, sigma_m: float, sigma_rad: float) -> FloatArray:
     """Information after an independent error is added to the covariance: (H^-1 + F)^-1, written so that
     a singular H stays singular in the same direction."""
-    out: FloatArray = align.add_error(information, sigma_m**2, sigma_rad**2)
+    out: FloatArray = matrices.add_error(information, sigma_m**2, sigma_rad**2)
     return out

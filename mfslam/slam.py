@@ -289,7 +289,7 @@ class Slam:
 
     def _refine(self, edges: list[Edge]) -> list[Edge]:
         config = self.config
-        world_T_keyframe = self.graph.poses_solved()
+        world_T_keyframe = self.graph.poses()
         with self.clock.time("second pass"):
             twists = self._twists(self._scan_poses(world_T_keyframe))
             for keyframe in self.keyframes:
@@ -324,7 +324,7 @@ class Slam:
         return trajectory.twists_over(times, world_T_reference, starts, ends, window_s)
 
     def _solution(self, edges: list[Edge]) -> Solution:
-        world_T_reference = self._scan_poses(self.graph.poses_solved())
+        world_T_reference = self._scan_poses(self.graph.poses())
         twists = self._twists(world_T_reference)
         offsets = np.array([reference_offset_s(s.laser) for s in self.scans])
         return Solution(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mfslam.kernels import align, cells, correlate, evidence, poses, raytrace, reach, scans, walls
+from mfslam.kernels import align, cells, correlate, evidence, matrices, poses, raytrace, reach, scans, walls
 
 
 def compile_once(tell: Callable[[str], None]) -> float:
@@ -24,7 +24,7 @@ def compile_once(tell: Callable[[str], None]) -> float:
 
 
 def _kernels() -> list[Any]:
-    modules = (align, cells, correlate, evidence, poses, raytrace, reach, scans, walls)
+    modules = (align, cells, correlate, evidence, matrices, poses, raytrace, reach, scans, walls)
     return [
         item
         for module in modules
