@@ -105,7 +105,8 @@ def smooth_surface(table: CellTable, cell: float, radius: float, spacing: float)
                     along += -ny * dx + nx * dy
                     sx += rows[q, 2]
                     sy += rows[q, 3]
-        out[k] = rows[i]
+        for u in range(4):  # whole rows at once would take seconds to compile
+            out[k, u] = rows[i, u]
         if cnt > 1:
             norm = math.sqrt(sx * sx + sy * sy)
             out[k, 0] = x + (off * nx - along * ny) / cnt

@@ -36,7 +36,9 @@ def pyramid(grid: ByteArray, levels: int) -> ByteArray:
     an upper bound of the score for every shift inside the block."""
     rows, cols = grid.shape
     out = np.zeros((levels, rows, cols), np.uint8)
-    out[0] = grid
+    for i in range(rows):  # a whole level at once would take seconds to compile
+        for j in range(cols):
+            out[0, i, j] = grid[i, j]
     for h in range(1, levels):
         step = 1 << (h - 1)
         for i in range(rows):
@@ -150,7 +152,8 @@ def branch_and_bound(
                     at = depth
                     while at > base and bounds[at - 1] > bound:
                         bounds[at] = bounds[at - 1]
-                        stack[at] = stack[at - 1]
+                        for u in range(4):
+                            stack[at, u] = stack[at - 1, u]
                         at -= 1
                     bounds[at] = bound
                     stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3] = h - 1, a, ox + du, oy + dv
