@@ -11,15 +11,9 @@ import gtsam
 from factors.noise import noise_from_information
 from mfslam.types import FloatArray
 
-DISTRUSTED_SHARE = 1e-4  # of the information of a step that disagrees with the scans
-
 
 def wheel_odometry_factor(
-    i: int, j: int, i_T_j: FloatArray, information: FloatArray, *, trusted: bool = True
+    i: int, j: int, i_T_j: FloatArray, information: FloatArray
 ) -> gtsam.BetweenFactorPose2:
-    """Between factor from wheel motion (pose (3,), information (3, 3)).
-
-    ``trusted``: False where the wheels were seen to jump: next to nothing is left of the information.
-    """
-    kept = information if trusted else DISTRUSTED_SHARE * information
-    return gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*i_T_j), noise_from_information(kept))
+    """Between factor from wheel motion (pose (3,), information (3, 3) of `mfslam.odometry.factor_information`)."""
+    return gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*i_T_j), noise_from_information(information))

@@ -9,6 +9,8 @@ import pytest
 
 import factors
 from mfslam import se2
+from mfslam.config import OdometryConfig
+from mfslam.odometry import factor_information
 
 
 def values_of(*poses):
@@ -59,14 +61,17 @@ def test_wheels_decide_along_a_corridor_and_scans_across():
 
 
 def test_distrusted_wheels_keep_almost_no_weight():
-    scan = factors.scan_match_factor(0, 1, np.array([1.0, 0.0, 0.0]), np.diag([1.0, 1.0, 1.0]))
+    scan = factors.scan_match_factor(0, 1, np.array([1.0, 0.0, 0.0]), np.diag([400.0, 400.0, 400.0]))
     wheels = np.array([2.0, 0.5, 0.0])
-    jumped = factors.wheel_odometry_factor(0, 1, wheels, np.diag([100.0, 100.0, 100.0]), trusted=False)
-    _, pose = solve([AT_ORIGIN, scan, jumped], np.zeros(3), np.zeros(3))
-    share = factors.wheel_odometry.DISTRUSTED_SHARE * 100.0
-    np.testing.assert_allclose(
-        pose, [1.0 + share / (1.0 + share), 0.5 * share / (1.0 + share), 0.0], atol=1e-3
-    )
+    for distrusted, most_m in ((False, 2.0), (True, 1e-3)):
+        information = factor_information(wheels, distrusted, OdometryConfig(white_share=1.0))
+        _, pose = solve(
+            [AT_ORIGIN, scan, factors.wheel_odometry_factor(0, 1, wheels, information)],
+            np.zeros(3),
+            np.zeros(3),
+        )
+        pulled_m = math.hypot(pose[0] - 1.0, pose[1])
+        assert most_m / 100.0 < pulled_m < most_m
 
 
 def test_gyro_turns_and_leaves_translation_free():
