@@ -231,6 +231,9 @@ class RefineConfig(_Stage):
     others: int = Field(5, ge=0, description="Keyframes of other passes by the same spot that each one is matched with.")
     radius_m: float = Field(3.0, gt=0, description="How near those must be, m.")
     search_radius_m: float = Field(0.25, gt=0, description="Partners are sought this far at the start, m.")
+    localise: bool = Field(
+        True, description="Match the scans between keyframes once more with all keyframes around them."
+    )
     min_inlier_ratio: float = Field(0.4, gt=0, lt=1, description="Share of matched points that a pair needs.")
 
 
@@ -247,6 +250,11 @@ class MapConfig(_Stage):
         ge=0,
         description="What is left of the poses' errors, one sigma, m: with the range's noise it says how far a "
         "wall's hits are spread, and so what is brought to one cell.",
+    )
+    max_points: int = Field(
+        20_000_000,
+        ge=1,
+        description="Points of points.ply at most: of more, only every second, third, ... is kept.",
     )
     min_hits: int = Field(2, ge=1, description="Fewer hits than this never make a cell occupied.")
     occupied_share: float = Field(

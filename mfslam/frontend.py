@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,6 +18,7 @@ from mfslam.search import SearchMap, search
 from mfslam.types import DeskewedScan, FloatArray, Match, Scan
 
 SURPRISE_GATE = 3.0  # sigmas
+SMOOTHING_M, SURFACE_SPACING_M = 0.1, 0.04  # of surfaces made of several scans
 MATCH_SIGMAS = np.array([0.01, 0.01, 0.005])  # of one match, beside those of the wheels (m, m, rad)
 SEARCHED_SIGMAS = np.array([0.3, 0.3, 0.2])  # a searched pose holds only what the scan leaves open
 MAX_ACCELERATION = np.array([2.0, 0.5, 4.0])  # of a robot whose wheels are not known (m/s^2, rad/s^2)
@@ -177,7 +179,9 @@ class Frontend:
             self.recent.popleft()
         self.wheels_since_keyframe = np.zeros(3)
         self.wheels_trusted = True
-        self.reference = merged_surface(list(self.recent))
+        self.reference = merged_surface(
+            [k.cloud for k in self.recent], [k.local_T_body for k in self.recent]
+        )
         self.place = None
 
 
@@ -186,14 +190,13 @@ def free_motion_sigmas(dt_s: float) -> FloatArray:
     return 0.02 + 0.5 * MAX_ACCELERATION * min(max(dt_s, 0.02), 2.0) ** 2
 
 
-def merged_surface(keyframes: list[Keyframe]) -> cells.CellTable:
-    """Search structure over the averaged surface of several keyframes, in their common frame."""
-    oriented = np.empty((sum(k.cloud.points_m.shape[0] for k in keyframes), 4))
+def merged_surface(clouds: Sequence[DeskewedScan], frame_T_body: Sequence[FloatArray]) -> cells.CellTable:
+    """Search structure over the averaged surface of several scans, in their common frame."""
+    oriented = np.empty((sum(cloud.points_m.shape[0] for cloud in clouds), 4))
     at = 0
-    for k in keyframes:
-        n = k.cloud.points_m.shape[0]
-        poses.transform_points(k.local_T_body, k.cloud.points_m, k.cloud.normals, oriented[at : at + n])
+    for cloud, pose in zip(clouds, frame_T_body, strict=True):
+        n = cloud.points_m.shape[0]
+        poses.transform_points(pose, cloud.points_m, cloud.normals, oriented[at : at + n])
         at += n
     raw = icp.reference_table(oriented)
-    surface = cells.smooth_surface(raw, icp.CELL_M, 0.1, 0.04)
-    return icp.reference_table(surface)
+    return icp.reference_table(cells.smooth_surface(raw, icp.CELL_M, SMOOTHING_M, SURFACE_SPACING_M))

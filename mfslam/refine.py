@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from mfslam import icp
-from mfslam.config import IcpConfig, RefineConfig
+from mfslam.config import Config, IcpConfig, RefineConfig
+from mfslam.deskew import deskew
+from mfslam.frontend import Keyframe, merged_surface
 from mfslam.kernels import poses
 from mfslam.kernels.cells import CellTable
-from mfslam.types import DeskewedScan, Edge, FloatArray, IntArray
+from mfslam.types import DeskewedScan, Edge, FloatArray, IntArray, Scan
+
+LOCALISE_SIGMAS = np.array([0.05, 0.05, 0.02])  # how well a scan between keyframes is known before (m, m, rad)
 
 
 def neighbours(world_T_body: FloatArray, config: RefineConfig) -> list[tuple[int, int]]:
@@ -69,3 +74,46 @@ def match_neighbours(
             continue
         edges.append(Edge("scan", i, j, match.ref_T_src, match.information))
     return edges
+
+
+def localise_between(
+    scans: Sequence[Scan],
+    twists: FloatArray,
+    world_T_body: FloatArray,
+    keyframes: Sequence[Keyframe],
+    pairs: list[tuple[int, int]],
+    config: Config,
+) -> FloatArray:
+    """(S, 3) poses in which the scans between keyframes were matched with the surface of all keyframes
+    around them; keyframes stay where they are.
+
+    ``world_T_body`` (S, 3) where every scan stands so far, at its reference instant.
+    """
+    around: list[set[int]] = [{k} for k in range(len(keyframes))]
+    for i, j in pairs:
+        around[j].add(i)
+        around[i].add(j)
+    out = world_T_body.copy()
+    loose = np.diag(LOCALISE_SIGMAS**-2.0)
+    icp_config, spacing_m = config.icp, config.icp.point_spacing_m
+    for a in range(len(keyframes) - 1):
+        first, last = keyframes[a].scan_index + 1, keyframes[a + 1].scan_index
+        if first >= last:
+            continue
+        members = sorted(around[a] | around[a + 1])
+        surface = merged_surface(
+            [keyframes[k].cloud for k in members], [world_T_body[keyframes[k].scan_index] for k in members]
+        )
+        for n in range(first, last):
+            cloud = deskew(scans[n], twists[n], config.deskew, spacing_m)
+            guess = world_T_body[n]
+            match = icp.register(
+                surface, cloud.points_m, cloud.normals, guess, scans[n].laser.range_sigma_m, icp_config,
+                guess, loose, config.refine.search_radius_m,
+            )  # fmt: skip
+            moved = poses.between(guess, match.ref_T_src)
+            if match.inlier_ratio >= config.refine.min_inlier_ratio and np.all(
+                np.abs(moved) < LOCALISE_SIGMAS * 3.0
+            ):
+                out[n] = match.ref_T_src
+    return out

@@ -269,8 +269,9 @@ class Slam:
         for _ in range(self.config.refine.passes if len(self.keyframes) > 1 else 0):
             tell("matching again from the optimised trajectory")
             edges = self._refine(edges)
+        tell("placing the scans between keyframes")
         with self.clock.time("trajectory"):
-            return self._solution(edges)
+            return self._solution(edges, localise=self.config.refine.localise)
 
     def solution_so_far(self) -> Solution:
         """The solution as it stands, without solving or refining any further."""
@@ -323,9 +324,15 @@ class Slam:
         starts, ends = times + offsets[:, 0] - reference, times + offsets[:, 1] - reference
         return trajectory.twists_over(times, world_T_reference, starts, ends, window_s)
 
-    def _solution(self, edges: list[Edge]) -> Solution:
+    def _solution(self, edges: list[Edge], localise: bool = False) -> Solution:
         world_T_reference = self._scan_poses(self.graph.poses())
         twists = self._twists(world_T_reference)
+        if localise and len(self.keyframes) > 1:
+            pairs = refine.neighbours(self.graph.poses(), self.config.refine)
+            world_T_reference = refine.localise_between(
+                self.scans, twists, world_T_reference, self.keyframes, pairs, self.config
+            )
+            twists = self._twists(world_T_reference)
         offsets = np.array([reference_offset_s(s.laser) for s in self.scans])
         return Solution(
             stamps_ns=np.array([s.stamp_ns for s in self.scans], dtype=np.int64),
