@@ -17,6 +17,7 @@ from mfslam.deskew import reference_offset_s
 from mfslam.kernels import raytrace, walls
 from mfslam.types import (
     BoolArray,
+    Findings,
     FloatArray,
     Int8Array,
     IntArray,
@@ -29,38 +30,77 @@ from mfslam.types import (
 MAX_CELLS = 400_000_000
 _CHUNK_BEAMS = 100_000
 _BORDER_CELLS = 2
+_BAND_ROWS = 512  # large grids are judged band by band, for the sake of memory
 _MIN_FREE_M2 = 0.05  # smaller pockets of free space are crumbs behind walls and windows
 
 
 def render_map(
-    scans: Sequence[Scan], world_T_body: FloatArray, twists: FloatArray, config: Config
+    scans: Sequence[Scan],
+    world_T_body: FloatArray,
+    twists: FloatArray,
+    config: Config,
+    findings: Findings | None = None,
 ) -> tuple[OccupancyGrid, PointCloud]:
-    """Occupancy grid and cloud of all hits of ``scans``.
+    """Occupancy grid of all beams, and cloud of all hits, of ``scans``.
 
     ``world_T_body`` (S, 3): poses at the scans' reference instants (`deskew.reference_offset_s`).
     ``twists`` (S, 3): body velocities held through each scan, m/s and rad/s; ``config.deskew.mode`` says how
-    they are used (eqs. 14-24). Raises MfslamError when the map would have too many cells.
+    they are used (eqs. 14-24). ``findings`` is told when the cloud had to be thinned to ``map.max_points``.
+    Raises MfslamError when the map would have too many cells.
     """
-    bounds_m = np.array([np.inf, np.inf, -np.inf, -np.inf])
-    points: list[FloatArray] = [np.zeros((0, 2))]
-    stamps: list[IntArray] = [np.zeros(0, np.int64)]
-    sigma_m = 0.0
-    for beams in _place_all(scans, world_T_body, twists, config):
-        met = beams.kinds == raytrace.HIT
-        points.append(beams.ends_m[met])
-        stamps.append(beams.stamps_ns[met])
-        beams.limit(config.map.max_range_m, bounds_m)
-        sigma_m = max(sigma_m, beams.sigma_m)
-    cloud = PointCloud(np.concatenate(points), np.concatenate(stamps))
-    del points, stamps
+    if world_T_body.shape != (len(scans), 3) or twists.shape != (len(scans), 3):
+        raise ValueError(
+            f"expected {len(scans)} poses and twists, got {world_T_body.shape} and {twists.shape}"
+        )
+    if not (np.isfinite(world_T_body).all() and np.isfinite(twists).all()):
+        raise ValueError("poses or twists are not finite")
+    # one after the other: never the counts of all cells and the cloud of all hits in memory at once
+    grid = _render_grid(scans, world_T_body, twists, config)
+    return grid, _project_hits(scans, world_T_body, twists, config, findings)
 
-    resolution_m = config.map.resolution_m
+
+def _render_grid(
+    scans: Sequence[Scan], world_T_body: FloatArray, twists: FloatArray, config: Config
+) -> OccupancyGrid:
+    resolution_m, max_range_m = config.map.resolution_m, config.map.max_range_m
+    bounds_m = np.array([np.inf, np.inf, -np.inf, -np.inf])
+    for beams in _place_all(scans, world_T_body, twists, config):
+        beams.limit(max_range_m, bounds_m)
     origin_m, shape = _frame_of(bounds_m, resolution_m)
     counts = CellCounts(*(np.zeros(shape, np.uint16) for _ in range(3)))
+    sigma_m = 0.0
     for beams in _place_all(scans, world_T_body, twists, config):
-        beams.limit(config.map.max_range_m, bounds_m)
+        beams.limit(max_range_m, bounds_m)
         beams.trace(counts, origin_m, resolution_m)
-    return OccupancyGrid(origin_m, resolution_m, judge_cells(counts, sigma_m, config.map)), cloud
+        sigma_m = max(sigma_m, beams.sigma_m)
+    return OccupancyGrid(origin_m, resolution_m, judge_cells(counts, sigma_m, config.map))
+
+
+def _project_hits(
+    scans: Sequence[Scan],
+    world_T_body: FloatArray,
+    twists: FloatArray,
+    config: Config,
+    findings: Findings | None,
+) -> PointCloud:
+    total = sum(scan.ranges_m.size for scan in scans)
+    keep_every = max(1, math.ceil(total / config.map.max_points))
+    if keep_every > 1 and findings is not None:
+        findings.add(
+            "points-thinned",
+            f"{total} beams are more than map.max_points: points.ply holds one hit in {keep_every}, the map all",
+        )
+    # memory is taken as it is filled, not here
+    points, stamps = np.empty((total, 2)), np.empty(total, np.int64)
+    kept = seen = 0
+    for beams in _place_all(scans, world_T_body, twists, config):
+        met = np.flatnonzero(beams.kinds == raytrace.HIT)
+        chosen = met[-seen % keep_every :: keep_every]
+        seen += len(met)
+        points[kept : kept + len(chosen)] = beams.ends_m.reshape(-1, 2)[chosen]
+        stamps[kept : kept + len(chosen)] = beams.stamps_ns.ravel()[chosen]
+        kept += len(chosen)
+    return PointCloud(points[:kept], stamps[:kept])
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,33 +208,52 @@ def judge_cells(counts: CellCounts, sigma_m: float, config: MapConfig) -> Int8Ar
     occupied = np.zeros(counts.hits.shape, np.bool_)
     occupied[met] = (hits >= config.min_hits) & (hits >= config.occupied_share * (hits + passes))
     _thin(occupied, counts.hits, sigma_m / config.resolution_m)
-    free = (counts.passes > 0) | (counts.nears > 0)
+    free = counts.passes > 0
+    free |= counts.nears > 0
     free[met] = passes + nears >= hits  # else the hits are noise, and the cell lies behind its wall
     free &= ~occupied
-    _drop_crumbs(free, _MIN_FREE_M2 / config.resolution_m**2)
-    occupancy = np.full(occupied.shape, -1, np.int8)
-    occupancy[free] = 0
+    _drop_crumbs(free, math.ceil(_MIN_FREE_M2 / config.resolution_m**2))
+    occupancy = free.view(np.int8)
+    occupancy -= 1
     occupancy[occupied] = 100
     return occupancy
 
 
-def _drop_crumbs(free: BoolArray, min_cells: float) -> None:
-    """Clear connected patches of fewer cells."""
+def _drop_crumbs(free: BoolArray, min_cells: int) -> None:
+    """Clear connected patches of fewer than ``min_cells`` cells."""
     from scipy import ndimage
 
-    labels, _ = ndimage.label(free)
-    free &= np.bincount(labels.ravel())[labels] >= min_cells
+    rows = free.shape[0]
+    # bands overlap by more than a crumb can measure: each crumb lies whole in one of them
+    for top in range(0, rows, _BAND_ROWS):
+        band = free[top : top + _BAND_ROWS + min_cells]
+        labels, n_patches = ndimage.label(band)
+        keep = np.bincount(labels.ravel(), minlength=n_patches + 1) >= min_cells
+        if top > 0:
+            keep[labels[0]] = True
+        if top + len(band) < rows:
+            keep[labels[-1]] = True
+        band &= keep[labels]
 
 
 def _thin(occupied: BoolArray, hits: raytrace.CountArray, sigma_cells: float) -> None:
     """Leave of each wall the ridge of its hits."""
     cells = np.argwhere(occupied)
-    if not len(cells):
-        return
     smooth = max(1.0, sigma_cells)
     radius = math.ceil(2.0 * smooth)
+    window = radius + 1
     weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / smooth) ** 2)
-    density = walls.smooth_hits(hits, cells, weights)
-    flanks = cells[walls.find_flanks(density, cells, max(1, math.ceil(2.5 * sigma_cells)), radius + 1)]
-    order = np.argsort(density[flanks[:, 0], flanks[:, 1]], kind="stable")
-    walls.thin_walls(occupied, flanks[order])
+    reach = max(1, math.ceil(2.5 * sigma_cells))
+    halo = max(window, reach)
+    rows, cols = hits.shape
+    flanks, values = [cells[:0]], [np.zeros(0, np.float32)]
+    for top in range(0, rows, _BAND_ROWS):
+        first, last = max(0, top - halo), min(rows, top + _BAND_ROWS + halo)
+        around = cells[slice(*np.searchsorted(cells[:, 0], [first, last]))]
+        inside = cells[slice(*np.searchsorted(cells[:, 0], [top, top + _BAND_ROWS]))]
+        density = np.zeros((last - first, cols), np.float32)
+        walls.smooth_hits(hits, around, weights, first, density)
+        is_flank, value = walls.find_flanks(density, first, inside, reach, window)
+        flanks.append(inside[is_flank])
+        values.append(value[is_flank])
+    walls.thin_walls(occupied, np.concatenate(flanks)[np.argsort(np.concatenate(values), kind="stable")])

@@ -7,7 +7,7 @@ from mfslam import mapping, se2
 from mfslam.config import Config, load
 from mfslam.deskew import deskew, reference_offset_s
 from mfslam.metrics import crispness
-from mfslam.types import Laser, MfslamError, Scan
+from mfslam.types import Findings, Laser, MfslamError, Scan
 
 ROOM = (-3.013, -2.021, 4.987, 3.979)  # x_min, y_min, x_max, y_max
 STILL = np.zeros(3)
@@ -234,3 +234,29 @@ def test_same_input_same_bytes():
     (a, a_cloud), (b, b_cloud) = render(scans, poses), render(scans, poses)
     assert a.occupancy.tobytes() == b.occupancy.tobytes()
     assert a_cloud.points_m.tobytes() == b_cloud.points_m.tobytes()
+
+
+def test_a_cloud_above_its_limit_is_thinned_evenly_and_told():
+    scans, poses = drive_round(make_laser())
+    _, whole = render(scans, poses)
+    findings = Findings()
+    config = load([], ["map.max_points=5000"])
+    grid, thinned = mapping.render_map(scans, poses, np.zeros((60, 3)), config, findings)
+    np.testing.assert_array_equal(thinned.points_m, whole.points_m[::5])
+    np.testing.assert_array_equal(thinned.stamps_ns, whole.stamps_ns[::5])
+    assert "points-thinned" in findings
+    np.testing.assert_array_equal(grid.occupancy, render(scans, poses)[0].occupancy)
+
+
+def test_poses_that_are_not_finite_never_reach_the_kernels():
+    scans, poses = drive_round(make_laser(), n=3)
+    poses[1, 0] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        render(scans, poses)
+
+
+def test_judging_in_bands_changes_nothing(monkeypatch):
+    scans, poses = drive_round(make_laser())
+    whole, _ = render(scans, poses)
+    monkeypatch.setattr(mapping, "_BAND_ROWS", 7)
+    np.testing.assert_array_equal(render(scans, poses)[0].occupancy, whole.occupancy)

@@ -14,9 +14,13 @@ from mfslam.types import BoolArray, Float32Array, FloatArray, IntArray
 
 
 @njit(cache=True, nogil=True)
-def smooth_hits(hits: CountArray, cells: IntArray, weights: FloatArray) -> Float32Array:
-    """Hits blurred by the separable kernel ``weights`` (2 R + 1,), at the ``cells`` (K, 2) row, column; zero elsewhere."""
-    out = np.zeros(hits.shape, np.float32)
+def smooth_hits(
+    hits: CountArray, cells: IntArray, weights: FloatArray, top: int, density: Float32Array
+) -> None:
+    """Hits blurred by the separable kernel ``weights`` (2 R + 1,), at the ``cells`` (K, 2) row, column only.
+
+    ``density``: a band of rows from ``top`` on, zero before.
+    """
     reach = weights.shape[0] // 2
     for k in range(cells.shape[0]):
         row, col = cells[k, 0], cells[k, 1]
@@ -26,20 +30,21 @@ def smooth_hits(hits: CountArray, cells: IntArray, weights: FloatArray) -> Float
             for j in range(max(0, col - reach), min(hits.shape[1], col + reach + 1)):
                 of_row += weights[j - col + reach] * hits[i, j]
             total += weights[i - row + reach] * of_row
-        out[row, col] = total
-    return out
+        density[row - top, col] = total
 
 
 @njit(cache=True, nogil=True)
-def find_flanks(density: Float32Array, cells: IntArray, reach: int, window: int) -> BoolArray:
-    """Which ``cells`` (K, 2) have a denser one within ``reach`` cells straight across the wall.
+def find_flanks(
+    density: Float32Array, top: int, cells: IntArray, reach: int, window: int
+) -> tuple[BoolArray, Float32Array]:
+    """Which ``cells`` (K, 2) have a denser one within ``reach`` cells straight across the wall; their density.
 
-    The wall's direction is that of the spread of ``density`` in a window of ``2 window + 1`` cells.
+    ``density``: a band of rows from ``top`` on. The wall's direction is that of the spread of ``density`` in a window of ``2 window + 1`` cells.
     """
     rows, cols = density.shape
-    flank = np.zeros(cells.shape[0], np.bool_)
+    flank, values = np.zeros(cells.shape[0], np.bool_), np.empty(cells.shape[0], np.float32)
     for k in range(cells.shape[0]):
-        row, col = cells[k, 0], cells[k, 1]
+        row, col = cells[k, 0] - top, cells[k, 1]
         m = sx = sy = sxx = sxy = syy = 0.0
         for i in range(max(0, row - window), min(rows, row + window + 1)):
             for j in range(max(0, col - window), min(cols, col + window + 1)):
@@ -57,6 +62,7 @@ def find_flanks(density: Float32Array, cells: IntArray, reach: int, window: int)
         nx, ny = math.cos(across), math.sin(across)
         scale = 1.0 / max(abs(nx), abs(ny))
         own = density[row, col]
+        values[k] = own
         for t in range(-reach, reach + 1):
             i, j = row + round(t * ny * scale), col + round(t * nx * scale)
             if t == 0 or i < 0 or j < 0 or i >= rows or j >= cols:
@@ -65,7 +71,7 @@ def find_flanks(density: Float32Array, cells: IntArray, reach: int, window: int)
             if density[i, j] > own or (density[i, j] == own and (i, j) < (row, col)):
                 flank[k] = True
                 break
-    return flank
+    return flank, values
 
 
 @njit(cache=True, nogil=True)
