@@ -84,4 +84,5 @@ def log(pose: FloatArray) -> FloatArray:
 @njit(cache=True, nogil=True)
 def interpolate(w_T_a: FloatArray, w_T_b: FloatArray, share: float) -> FloatArray:
     """Pose at ``share`` of the constant-twist path from a (0) to b (1)."""
-    return advance(w_T_a, log(between(w_T_a, w_T_b)), share)
+    pose: FloatArray = advance(w_T_a, log(between(w_T_a, w_T_b)), share)
+    return pose

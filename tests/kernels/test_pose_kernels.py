@@ -24,6 +24,8 @@ def test_kernels_agree_with_se2(a, b, xi, duration):
     same(poses.compose(a, b), se2.compose(a, b))
     same(poses.between(a, b), se2.between(a, b))
     same(poses.advance(a, xi, duration), se2.compose(a, se2.exp(xi * duration)))
+    same(poses.interpolate(a, b, duration), se2.interpolate(a, b, duration))
+    np.testing.assert_allclose(poses.log(a), se2.log(a), rtol=1e-12, atol=1e-12)
 
 
 def test_half_turns_stand_at_plus_pi():
