@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
+import time
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,19 +16,34 @@ from mfslam.types import MfslamError
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 done, 1 told why not, 2 misused, 130 interrupted."""
-    args = build_parser().parse_args(argv)
+    parser = build_parser()
+    args = parser.parse_args(argv)
+    if "run" not in args:
+        parser.print_help(sys.stderr)
+        return 2
+    args.start_cpu_s = time.process_time()
     try:
         check_neighbours()
-        return int(args.run(args))
+        status = int(args.run(args))
+        sys.stdout.flush()
+        return status
     except MfslamError as error:
-        print(f"mfslam: {error}", file=sys.stderr)
-        return 1
+        return _fail(str(error))
     except KeyboardInterrupt:
-        print("mfslam: interrupted", file=sys.stderr)
+        print("mfslam: interrupted: nothing was written", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # the reader of our output has gone: nothing to tell it
-        sys.stderr.close()
-        return 1
+    except BrokenPipeError:  # whoever read our output has gone (| head): nothing to tell, nothing to flush
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except MemoryError:
+        return _fail("out of memory: a coarser map.resolution_m or a shorter log needs less")
+    except OSError as error:  # a disk that fails on the way, for one
+        return _fail(f"{error.filename or 'output'}: {(error.strerror or str(error)).lower()}")
+
+
+def _fail(line: str) -> int:
+    print(f"mfslam: {line}", file=sys.stderr)
+    return 1
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -34,11 +51,13 @@ def build_parser() -> argparse.ArgumentParser:
         prog="mfslam", description="2D laser SLAM in which every beam has its own instant."
     )
     parser.add_argument("--version", action="version", version=f"mfslam {__version__}")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
 
     command = commands.add_parser("map", help="map a log: trajectory, factor graph, occupancy grid, report")
     command.add_argument("log", metavar="LOG", type=Path, help="CARMEN, urg-text, ROS 1 or ROS 2 log")
-    command.add_argument("-o", "--output", metavar="OUT", type=Path, required=True, help="folder for the results")
+    command.add_argument(
+        "-o", "--output", metavar="OUT", type=Path, required=True, help="folder for the results"
+    )
     command.add_argument("--overwrite", action="store_true", help="replace what OUT holds")
     _add_topics(command)
     _add_settings(command)
@@ -49,6 +68,7 @@ def build_parser() -> argparse.ArgumentParser:
     command.add_argument(
         "-o", "--output", metavar="OUT", type=Path, default=Path("mfslam-demo"), help="folder (./mfslam-demo)"
     )
+    command.add_argument("--overwrite", action="store_true", help="replace what OUT holds, if it is no demo")
     command.add_argument("--seed", type=int, default=1, help="of the simulated noise (1)")
     _add_settings(command)
     _add_reporting(command)
@@ -72,7 +92,9 @@ def _add_settings(command: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--preset", metavar="NAME", action="append", default=[], help="sensor or robot preset, or a YAML file"
     )
-    group.add_argument("--config", metavar="FILE", type=Path, help="YAML file with what differs from the defaults")
+    group.add_argument(
+        "--config", metavar="FILE", type=Path, help="YAML file with what differs from the defaults"
+    )
     group.add_argument(
         "--set", metavar="STAGE.KEY=VALUE", action="append", default=[], dest="settings", help="one setting"
     )
@@ -80,7 +102,9 @@ def _add_settings(command: argparse.ArgumentParser) -> None:
 
 def _add_topics(command: argparse.ArgumentParser) -> None:
     group = command.add_argument_group("sources (found by type when not named)")
-    group.add_argument("--scan-topic", metavar="NAME", help="topic of the laser, or RLASER and such in CARMEN logs")
+    group.add_argument(
+        "--scan-topic", metavar="NAME", help="topic of the laser, or RLASER and such in CARMEN logs"
+    )
     group.add_argument("--odometry-topic", metavar="NAME")
     group.add_argument("--imu-topic", metavar="NAME")
     group.add_argument("--wheels-topic", metavar="NAME", help="topic of JointState wheel angles")

@@ -152,6 +152,8 @@ class Frontend:
         ICP from there; None when there is none."""
         assert self.reference is not None
         config = self.config.frontend
+        if not len(self.reference[3]):
+            return None  # nothing was seen yet
         if self.place is None:
             self.place = SearchMap.of(self.reference[3][:, :2], guess[:2], 15.0, 0.1)
         # most poor fits are a small slip: the wide window is opened only when the narrow one fails,

@@ -11,61 +11,71 @@ from typing import Any
 
 from drivers.base import Log
 from drivers.logs import open_log
+from mfslam.commands.interrupts import Interrupts
 from mfslam.commands.progress import Progress
 from mfslam.commands.settings import config_for, topics_of
 from mfslam.config import Config
 from mfslam.kernels.warm_up import compile_once
 from mfslam.mapping import render_map
-from mfslam.output import json_text, prepare_folder, summarise, write_atomically, write_run
+from mfslam.output import check_writable, json_text, run_folder, summarise, write_atomically, write_run
 from mfslam.slam import Slam, Solution
-from mfslam.types import Findings, RunResult, Scan
+from mfslam.types import Findings, MfslamError, RunResult, Scan
 
 
 def run(args: argparse.Namespace) -> int:
-    prepare_folder(args.output, args.overwrite)
     config = config_for(args.log, args)
     progress = Progress(args.quiet)
-    compile_once(progress.tell)
-    with open_log(args.log, config, topics=topics_of(args)) as log:
-        outcome = map_log(log, config, progress)
-    leave(outcome, config, args.output, args.json, args.quiet)
+    with run_folder(args.output, args.overwrite), open_log(args.log, config, topics=topics_of(args)) as log:
+        if args.json is not None:
+            check_writable(args.json)
+        compile_s = compile_once(progress.tell)
+        with Interrupts() as interrupts:
+            outcome = map_log(log, config, progress, interrupts, args.start_cpu_s + compile_s)
+            leave(outcome, config, args.output, args.json)
+    if not args.quiet:
+        say(outcome, args.output)
     return 130 if outcome.interrupted else 0
 
 
 @dataclass
 class Outcome:
-    """A finished run: the result, and whether it was cut short."""
+    """A finished run: the result, what summary.json says of it, and whether it was cut short."""
 
     result: RunResult
+    summary: dict[str, Any]
     interrupted: bool
 
 
-def map_log(log: Log, config: Config, progress: Progress) -> Outcome:
+class _Enough(Exception):
+    """The user wants the map as it is now."""
+
+
+def map_log(
+    log: Log, config: Config, progress: Progress, interrupts: Interrupts, start_cpu_s: float
+) -> Outcome:
     """Feed a whole log to the engine, solve and render. Ctrl-C ends the reading: what came until then is
-    mapped; a second one ends the refinement."""
-    start_s = time.process_time()
+    mapped; the next one ends the refinement."""
     slam = Slam(config)
-    interrupted = read_log(log, slam, progress)
-    try:
-        solution = slam.finish(lambda stage: progress.tell(f"{stage} ..."))
-    except KeyboardInterrupt:
-        interrupted = True
-        solution = slam.solution_so_far()
+    findings = Findings()
+    read_log(log, slam, progress, interrupts, findings)
+    solution = finish(slam, progress, interrupts, findings)
     progress.tell("drawing the map ...")
     with slam.clock.time("map"):
         grid, points = render_map(slam.scans, solution.world_T_reference, solution.twists, config)
-    findings = Findings()
+    if not len(points.points_m):
+        raise MfslamError(f"{log.info.path}: none of its {len(slam.scans)} scans has a usable range: nothing to map")
     findings.merge(log.findings)
     findings.merge(slam.findings)
     result = RunResult(
         solution.stamps_ns, solution.world_T_body, solution.keyframes, solution.edges, grid, points, findings
     )
-    result.summary = run_summary(log, slam, solution, interrupted, time.process_time() - start_s)
-    return Outcome(result, interrupted)
+    interrupted = interrupts.count > 0
+    result.summary = run_summary(log, slam, solution, interrupted, time.process_time() - start_cpu_s)
+    return Outcome(result, summarise(result), interrupted)
 
 
-def read_log(log: Log, slam: Slam, progress: Progress) -> bool:
-    """Feed every message; True when the user cut it short."""
+def read_log(log: Log, slam: Slam, progress: Progress, interrupts: Interrupts, findings: Findings) -> None:
+    """Feed every message, until the user cuts it short."""
     first_ns: int | None = None
     progress.start(f"mapping {log.info.path.name}")
     try:
@@ -74,12 +84,33 @@ def read_log(log: Log, slam: Slam, progress: Progress) -> bool:
             if isinstance(message, Scan):
                 first_ns = message.stamp_ns if first_ns is None else first_ns
                 progress.update(log.progress(), (message.stamp_ns - first_ns) * 1e-9)
-    except KeyboardInterrupt:
-        progress.tell("interrupted: mapping what was read so far (again to stop refining)")
-        return True
+            if interrupts.count:
+                break
     finally:
-        progress.close()
-    return False
+        progress.close(complete=not interrupts.count)
+    if not interrupts.count:
+        return
+    if first_ns is None:
+        raise KeyboardInterrupt  # nothing to keep
+    findings.add("interrupted", f"interrupted after {log.progress():.0%} of the log: only that was mapped")
+    progress.tell("interrupted: mapping what was read so far (Ctrl-C again: without refining it)")
+
+
+def finish(slam: Slam, progress: Progress, interrupts: Interrupts, findings: Findings) -> Solution:
+    """Solve and refine, until the user has seen enough."""
+    before = interrupts.count
+
+    def next_stage(stage: str) -> None:
+        if interrupts.count > before:
+            raise _Enough
+        progress.tell(f"{stage} ...")
+
+    try:
+        return slam.finish(next_stage)
+    except _Enough:
+        findings.add("not-refined", "interrupted while refining: the map is as good as it was by then")
+        progress.tell("interrupted: writing the map as it is")
+        return slam.solution_so_far()
 
 
 def run_summary(log: Log, slam: Slam, solution: Solution, interrupted: bool, cpu_s: float) -> dict[str, Any]:
@@ -106,22 +137,23 @@ def run_summary(log: Log, slam: Slam, solution: Solution, interrupted: bool, cpu
     }
 
 
-def leave(outcome: Outcome, config: Config, folder: Path, json_file: Path | None, quiet: bool) -> None:
-    """Write the folder, then say where things are."""
-    result = outcome.result
-    write_run(result, config, folder)
-    summary = summarise(result)
+def leave(outcome: Outcome, config: Config, folder: Path, json_file: Path | None) -> None:
+    """Write the folder, and the summary where else it is wanted."""
+    write_run(outcome.result, config, folder, outcome.summary)
     if json_file is not None:
-        write_atomically(json_file, json_text(summary).encode())
-    if quiet:
-        return
+        write_atomically(json_file, json_text(outcome.summary).encode())
+
+
+def say(outcome: Outcome, folder: Path) -> None:
+    """What came out, and where it lies."""
+    summary = outcome.summary
     counts, distances = summary["counts"], summary["distances"]
     loops = summary["edges"].get("loop", {"count": 0})["count"]
     print(
         f"{counts['scans']} scans, {distances['travelled_m']:.0f} m, {counts['keyframes']} keyframes, {loops} loops, "
         f"{summary['real_time_factor']:.0f} x real time"
     )
-    for line in result.findings.lines():
+    for line in outcome.result.findings.lines():
         print(f"note: {line}", file=sys.stderr)
     print(f"map     {folder / 'map.png'}   (map.yaml for Nav2 and map_server)")
     print(f"report  {folder / 'report.html'}")

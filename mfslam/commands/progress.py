@@ -6,14 +6,19 @@ import sys
 import time
 from typing import Any
 
+_LINE_EVERY_S = 10.0  # where the output is no terminal
+
 
 class Progress:
-    """A bar over the log with the real-time factor; silent when ``quiet``."""
+    """Stages as lines and a bar over the log with the real-time factor, on standard error.
+
+    Where that is no terminal, the bar is a line every ten seconds. Silent when ``quiet``.
+    """
 
     def __init__(self, quiet: bool) -> None:
         self.quiet = quiet
-        self._start_s = time.monotonic()
-        self._last_s = 0.0
+        self._title = ""
+        self._start_s = self._last_s = 0.0
         self._bar: Any = None
 
     def tell(self, text: str) -> None:
@@ -23,29 +28,36 @@ class Progress:
             print(text, file=sys.stderr, flush=True)
 
     def start(self, title: str) -> None:
-        self._start_s = time.monotonic()
+        self._title = title
+        self._start_s = self._last_s = time.monotonic()
         if self.quiet:
+            return
+        if not sys.stderr.isatty():
+            self.tell(f"{title} ...")
             return
         from tqdm import tqdm
 
-        self._bar = tqdm(
-            total=100.0,
-            desc=title,
-            bar_format="{desc} {percentage:3.0f}% |{bar:30}| {elapsed} {postfix}",
-            mininterval=0.2 if sys.stderr.isatty() else 5.0,
-        )
+        bar_format = "{desc} {percentage:3.0f} % |{bar:30}| {elapsed}{postfix}"
+        self._bar = tqdm(total=100.0, desc=title, bar_format=bar_format, mininterval=0.0)
 
     def update(self, share: float, log_s: float) -> None:
         """``share`` of the log that was read, ``log_s`` seconds of it."""
         now = time.monotonic()
-        if self._bar is None or now - self._last_s < 0.2:
+        if self.quiet or now - self._last_s < (_LINE_EVERY_S if self._bar is None else 0.2):
             return
         self._last_s = now
-        factor = log_s / max(now - self._start_s, 1e-3)
-        self._bar.set_postfix_str(f"{factor:.0f} x real time", refresh=False)
+        factor = f"{log_s / max(now - self._start_s, 1e-3):.0f} x real time"
+        if self._bar is None:
+            self.tell(f"{self._title}: {100.0 * share:.0f} %, {factor}")
+            return
+        self._bar.set_postfix_str(factor, refresh=False)
         self._bar.update(100.0 * share - self._bar.n)
 
-    def close(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
+    def close(self, complete: bool = False) -> None:
+        """End the bar; ``complete``: the whole log was read."""
+        if self._bar is None:
+            return
+        if complete:
+            self._bar.update(100.0 - self._bar.n)
+        self._bar.close()
+        self._bar = None

@@ -1,19 +1,21 @@
 """What a run leaves behind, and readers of the same files."""
 
-from mfslam.output.folder import prepare_folder, write_run
+from mfslam.output.folder import prepare_folder, run_folder, write_run
 from mfslam.output.g2o import GraphFile, read_g2o
 from mfslam.output.maps import read_map
-from mfslam.output.staging import write_atomically
+from mfslam.output.staging import check_writable, write_atomically
 from mfslam.output.summary import json_text, summarise
 from mfslam.output.tum import read_tum
 
 __all__ = [
     "GraphFile",
+    "check_writable",
     "json_text",
     "prepare_folder",
     "read_g2o",
     "read_map",
     "read_tum",
+    "run_folder",
     "summarise",
     "write_atomically",
     "write_run",

@@ -2,17 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mfslam.config import Config, describe
 from mfslam.output import g2o, maps, ply, report, tum
-from mfslam.output.staging import PART_SUFFIX, Staging, cannot_write
+from mfslam.output.staging import PART_SUFFIX, Staging, cannot_write, check_writable
 from mfslam.output.summary import json_text, summarise
 from mfslam.types import MfslamError, RunResult
 
 RUN_MARKS = ("summary.json", "map.pgm")
+
+
+@contextmanager
+def run_folder(folder: Path, overwrite: bool = False) -> Iterator[None]:
+    """`prepare_folder` around a run: when it fails, folders that were made for it are gone again.
+
+    Raises MfslamError.
+    """
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        prepare_folder(folder, overwrite)
+        yield
+    except BaseException:
+        with suppress(OSError):  # one that holds something stays, and so do its parents
+            for path in new:
+                path.rmdir()
+        raise
 
 
 def prepare_folder(folder: Path, overwrite: bool = False) -> None:
@@ -29,11 +49,9 @@ def prepare_folder(folder: Path, overwrite: bool = False) -> None:
             leftover.unlink()
         if not overwrite:
             _refuse_if_used(folder)
-        probe = folder / f".probe{PART_SUFFIX}"
-        probe.write_bytes(b"mfslam")
-        probe.unlink()
     except OSError as error:
         raise cannot_write(folder, error) from None
+    check_writable(folder / "map.pgm")
 
 
 def _refuse_if_used(folder: Path) -> None:
@@ -43,8 +61,10 @@ def _refuse_if_used(folder: Path) -> None:
         raise MfslamError(f"{folder}: is not empty; give --overwrite to write into it, or another -o")
 
 
-def write_run(result: RunResult, config: Config, folder: Path) -> list[Path]:
-    """Write every file of a run; returns their paths.
+def write_run(
+    result: RunResult, config: Config, folder: Path, summary: dict[str, Any] | None = None
+) -> list[Path]:
+    """Write every file of a run; returns their paths. ``summary``: that of the result, where it is known.
 
     All are written aside and renamed together at the end: when anything fails, `folder` is as it was.
     Map, trajectories, graph and points are the same bytes for the same result. Raises MfslamError.
@@ -53,7 +73,7 @@ def write_run(result: RunResult, config: Config, folder: Path) -> list[Path]:
     keyframe_stamps_ns = result.stamps_ns[result.keyframes]
     world_T_keyframe = result.world_T_body[result.keyframes]
     image = maps.grid_image(result.grid)
-    summary = summarise(result)
+    summary = summarise(result) if summary is None else summary
     config_yaml = describe(config)
     png = maps.png_bytes(image)
     texts = {

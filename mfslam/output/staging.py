@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -63,7 +64,9 @@ class Staging:
 def cannot_write(path: Path, error: OSError) -> MfslamError:
     """The one line for a write that failed: what, why, what to do."""
     why = (error.strerror or str(error)).lower()
-    return MfslamError(f"{path}: cannot be written: {why}; free some space or choose another folder with -o")
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    what_to_do = "free some space or choose another place" if full else "choose another place"
+    return MfslamError(f"{path}: cannot be written: {why}; {what_to_do}")
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -73,3 +76,20 @@ def write_atomically(path: Path, data: bytes) -> None:
     """
     with Staging(path.parent) as staging, staging.open(path.name) as file:
         file.write(data)
+
+
+def check_writable(path: Path) -> None:
+    """Find out before the work whether a file can be written at its end.
+
+    Raises MfslamError when not.
+    """
+    if path.is_dir():
+        raise MfslamError(f"{path}: expected a file to write, this is a folder")
+    probe = path.with_name(f".{path.name}{PART_SUFFIX}")
+    try:
+        try:
+            probe.write_bytes(b"mfslam")
+        finally:  # a full disk leaves an empty file
+            probe.unlink(missing_ok=True)
+    except OSError as error:
+        raise cannot_write(path, error) from None
