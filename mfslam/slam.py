@@ -229,7 +229,9 @@ class Slam:
         if odom_a is not None and odom_b is not None:
             wheels = poses.between(odom_a, odom_b)
             jumped = bool(self.odometry_jumps) and self.odometry_jumps[-1] > a
-            yield Edge("odometry", i, j, wheels, factor_information(wheels, jumped, self.config.odometry))
+            # a step that nothing can drive stays out: at 1e9 m the least information still pulls
+            if not (jumped and is_jump(wheels, self._times_s[b] - self._times_s[a], self.config.odometry)):
+                yield Edge("odometry", i, j, wheels, factor_information(wheels, jumped, self.config.odometry))
         t0, t1 = self._times_s[a], self._times_s[b]
         turn_rad = self._heading.turn(t0, t1)
         if turn_rad is not None:
