@@ -71,6 +71,12 @@ def find_flanks(
             if density[i, j] > own or (density[i, j] == own and (i, j) < (row, col)):
                 flank[k] = True
                 break
+        # straight across a slanted wall lies every other diagonal only: the one between is beside it
+        if not flank[k] and min(abs(nx), abs(ny)) > 0.4 and 0 < row < rows - 1 and 0 < col < cols - 1:
+            up, right = (1 if ny > 0.0 else -1), (1 if nx > 0.0 else -1)
+            flank[k] = (density[row + up, col] > own and density[row, col + right] > own) or (
+                density[row - up, col] > own and density[row, col - right] > own
+            )
     return flank, values
 
 
