@@ -203,6 +203,10 @@ class LoopsConfig(_Stage):
     wide_inlier_ratio: float = Field(0.5, gt=0, lt=1, description="min_inlier_ratio in wide windows.")
     wide_agreement: float = Field(0.9, gt=0, lt=1, description="min_agreement in wide windows.")
     wide_every_m: float = Field(2.0, gt=0, description="A search in wide windows at most every so far driven, m.")
+    sigma_floor_m: float = Field(
+        0.02, ge=0, description="Systematic error of a loop, m: the places it joins are bent a little."
+    )
+    sigma_floor_deg: float = Field(0.3, ge=0, description="Systematic error of a loop, deg.")
     partners: int = Field(2, ge=0, description="Loops that must agree with a new one from a wide window.")
 
 
@@ -258,7 +262,11 @@ class MapConfig(_Stage):
     )
     min_hits: int = Field(2, ge=1, description="Fewer hits than this never make a cell occupied.")
     occupied_share: float = Field(
-        0.25, gt=0, lt=1, description="A cell is occupied when hits / (hits + passes) is at least this."
+        0.15,
+        gt=0,
+        lt=1,
+        description="A cell is occupied when hits / (hits + passes) is at least this: a thin leg of a chair, or "
+        "glass, which is seen from straight ahead only, comes to about 0.2; people come to less.",
     )
 
 

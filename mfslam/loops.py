@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -204,6 +204,8 @@ class LoopCloser:
         )  # fmt: skip
         if not self._verified(place, query, match, wide):
             return None
+        floor = (config.sigma_floor_m, math.radians(config.sigma_floor_deg))
+        match = replace(match, information=icp.with_floor(match.information, *floor))
         return Loop(place.anchor, query.anchor, match, candidate.window_m, score)
 
     def _verified(self, place: Place, query: Place, match: Match, wide: bool) -> bool:

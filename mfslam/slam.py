@@ -36,6 +36,8 @@ from mfslam.types import (
 
 POOR_FIT, GOOD_FIT = 0.25, 0.65  # inlier ratios between which a match gains its full weight
 WEAK_SIGMA_M = 0.1  # a match less sure than this along some direction is weak
+# of a step that neither scan nor wheels tell (10 m, 10 rad): without it the chain of poses would break there
+HARDLY_ANYTHING = np.diag([0.01, 0.01, 0.01])
 LAG_S = 0.5  # odometry older than this says nothing of a scan
 
 
@@ -223,7 +225,7 @@ class Slam:
         assert step.match is not None
         trust = np.clip((step.match.inlier_ratio - POOR_FIT) / (GOOD_FIT - POOR_FIT), 0.02, 1.0) ** 2
         prev_T_body = poses.between(previous.local_T_body, keyframe.local_T_body)
-        yield Edge("scan", i, j, prev_T_body, trust * step.match.information)
+        yield Edge("scan", i, j, prev_T_body, trust * step.match.information + HARDLY_ANYTHING)
         a, b = previous.scan_index, keyframe.scan_index
         odom_a, odom_b = self._odom_T_body[a], self._odom_T_body[b]
         if odom_a is not None and odom_b is not None:
@@ -335,13 +337,33 @@ class Slam:
                 self.scans, twists, world_T_reference, self.keyframes, pairs, self.config
             )
             twists = self._twists(world_T_reference)
+        # a scan sensed before its stamp (transport delay) is carried on to it
         offsets = np.array([reference_offset_s(s.laser) for s in self.scans])
+        reference_T_stamp = se2.exp(-offsets[:, None] * twists)
+        keyframes = np.array([k.scan_index for k in self.keyframes], dtype=np.int64)
         return Solution(
             stamps_ns=np.array([s.stamp_ns for s in self.scans], dtype=np.int64),
-            # a scan sensed before its stamp (transport delay) is carried on to it
-            world_T_body=se2.compose(world_T_reference, se2.exp(-offsets[:, None] * twists)),
+            world_T_body=se2.compose(world_T_reference, reference_T_stamp),
             world_T_reference=world_T_reference,
             twists=twists,
-            keyframes=np.array([k.scan_index for k in self.keyframes], dtype=np.int64),
-            edges=edges,
+            keyframes=keyframes,
+            edges=edges_at_stamps(edges, reference_T_stamp[keyframes]) if offsets.any() else edges,
         )
+
+
+def edges_at_stamps(edges: list[Edge], reference_T_stamp: FloatArray) -> list[Edge]:
+    """Edges between reference instants, carried to the stamps of their keyframes.
+
+    ``reference_T_stamp`` (K, 3): motion of each keyframe from the one to the other. The information
+    follows: a perturbation xi at the stamp is Ad(reference_T_stamp) xi at the reference instant.
+    """
+    out = []
+    for edge in edges:
+        if edge.kind == "heading":
+            out.append(edge)
+            continue
+        a, b = reference_T_stamp[edge.i], reference_T_stamp[edge.j]
+        carried = poses.compose(poses.between(a, edge.i_T_j), b)
+        adjoint = se2.adjoint(b)
+        out.append(replace(edge, i_T_j=carried, information=adjoint.T @ edge.information @ adjoint))
+    return out
