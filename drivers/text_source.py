@@ -12,6 +12,7 @@ from mfslam.types import MfslamError
 
 _CHUNK_BYTES = 1 << 18
 _MAGIC_LENGTH = 4
+_MAX_STAMP_NS = 9 * 10**18  # the year 2255: what an int64 holds
 
 
 class _Decompressor(Protocol):
@@ -120,12 +121,16 @@ class NumberCache(dict[bytes, float]):
 def stamp_ns(text: bytes) -> int:
     """Decimal seconds to nanoseconds, exact to the last digit (a float would be 100 ns off today).
 
-    Raises ValueError for what is no finite number.
+    Raises ValueError for what is no finite number, or too large for int64 nanoseconds.
     """
     whole, _, fraction = text.partition(b".")
     if whole.isdigit() and (fraction.isdigit() or not fraction):
-        return int(whole) * 1_000_000_000 + int((fraction + b"000000000")[:9])
-    try:
-        return round(float(text) * 1e9)
-    except OverflowError:
-        raise ValueError(f"stamp {text!r} is not finite") from None
+        stamp = int(whole) * 1_000_000_000 + int((fraction + b"000000000")[:9])
+    else:
+        try:
+            stamp = round(float(text) * 1e9)
+        except OverflowError:
+            raise ValueError(f"stamp {text!r} is not finite") from None
+    if abs(stamp) > _MAX_STAMP_NS:
+        raise ValueError(f"stamp {text!r} is out of range")
+    return stamp

@@ -26,6 +26,8 @@ class SearchMap:
     @classmethod
     def of(cls, points_m: FloatArray, center_m: FloatArray, reach_m: float, cell_m: float) -> SearchMap:
         """Map of the points (M, 2) within a square of half side ``reach_m`` about ``center_m``."""
+        if not len(points_m):
+            return cls(center_m, cell_m, np.zeros((5, 1, 1), np.uint8))
         near = np.abs(points_m - center_m).max(axis=1) < reach_m
         points = points_m[near] if near.any() else points_m[:1]
         margin = 3.0 * cell_m
@@ -49,6 +51,8 @@ def search(
     The score is 0 where nothing reached ``min_score``. ``avoid`` (x, y, radius): no answer from inside
     that circle, to ask for the runner-up.
     """
+    if not len(points_m):
+        return center, 0.0
     points = thin_evenly(points_m, MAX_POINTS)
     # the angle step moves the typical far point by one cell
     reach = max(1.0, float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 80)))
