@@ -26,9 +26,7 @@ def beam_times_s(laser: Laser) -> FloatArray:
     return laser.offsets_s - reference_offset_s(laser)
 
 
-def deskew(
-    scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: float = 0.0
-) -> DeskewedScan:
+def deskew(scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: float = 0.0) -> DeskewedScan:
     """Points of ``scan`` in the body frame at its reference instant.
 
     ``body_twist`` (3,): m/s, m/s, rad/s, taken as constant through the scan. ``spacing_m``: points in

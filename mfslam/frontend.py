@@ -111,10 +111,9 @@ class Frontend:
                 match, step = again, poses.between(self.local_T_body, again.ref_T_src)
         self.local_T_body, self.last_step = match.ref_T_src, step
         moved = poses.between(self.recent[-1].local_T_body, self.local_T_body)
-        is_keyframe = (
-            math.hypot(moved[0], moved[1]) >= config.frontend.keyframe_distance_m
-            or abs(moved[2]) >= math.radians(config.frontend.keyframe_angle_deg)
-        )
+        is_keyframe = math.hypot(moved[0], moved[1]) >= config.frontend.keyframe_distance_m or abs(
+            moved[2]
+        ) >= math.radians(config.frontend.keyframe_angle_deg)
         if is_keyframe:
             self._add_keyframe(index, cloud)
         return Step(self.local_T_body, match, is_keyframe, twist, searched, jump)
@@ -181,9 +180,7 @@ class Frontend:
             self.recent.popleft()
         self.wheels_since_keyframe = np.zeros(3)
         self.wheels_trusted = True
-        self.reference = merged_surface(
-            [k.cloud for k in self.recent], [k.local_T_body for k in self.recent]
-        )
+        self.reference = merged_surface([k.cloud for k in self.recent], [k.local_T_body for k in self.recent])
         self.place = None
 
 

@@ -58,7 +58,9 @@ class HeadingTrack:
     def turn_sigma(self, dt_s: float) -> float:
         """One sigma of a turn over ``dt_s``: rate noise and what is not known of the bias (rad)."""
         config = self.config
-        return math.hypot(config.gyro_sigma_rad_per_sqrt_s * math.sqrt(max(dt_s, 1e-3)), config.bias_sigma_rad_s * dt_s)
+        return math.hypot(
+            config.gyro_sigma_rad_per_sqrt_s * math.sqrt(max(dt_s, 1e-3)), config.bias_sigma_rad_s * dt_s
+        )
 
     def learn_bias(self, dt_s: float, turn_rad: float, matched_turn_rad: float) -> None:
         """Let the bias follow the difference between the gyro's turn and the matched one."""

@@ -189,7 +189,13 @@ class LoopCloser:
         if wide:
             avoid = np.array([found[0], found[1], 1.0])
             rival = search(
-                search_map, points, center, window_m, candidate.window_rad, config.ambiguous_score * score, avoid
+                search_map,
+                points,
+                center,
+                window_m,
+                candidate.window_rad,
+                config.ambiguous_score * score,
+                avoid,
             )[1]
             if rival > 0.0:
                 self.statistics.refuse("ambiguous")
@@ -270,7 +276,9 @@ class LoopCloser:
         self._waiting.append(loop)
         distinct = {w.j for w in agreeing}
         if len(distinct) < needed:
-            self.statistics.refuse("waits for others that agree" if inside_gate else "outside the joint marginal")
+            self.statistics.refuse(
+                "waits for others that agree" if inside_gate else "outside the joint marginal"
+            )
             return []
         self._waiting = [w for w in self._waiting if w is not loop and w not in agreeing]
         return [*agreeing, loop]

@@ -43,11 +43,15 @@ class Place:
         for n, k in enumerate(members):
             anchor_T_body = poses.between(origin, keyframes[k].local_T_body)
             cloud = keyframes[k].cloud
-            poses.transform_points(anchor_T_body, cloud.points_m, cloud.normals, oriented[first[n] : first[n + 1]])
+            poses.transform_points(
+                anchor_T_body, cloud.points_m, cloud.normals, oriented[first[n] : first[n + 1]]
+            )
             eyes[n] = anchor_T_body[:2]
         corner = np.full(2, -REACH_M)
         size = int(2 * REACH_M / CELL_M)
-        grid = evidence.evidence_grid(eyes, first, np.ascontiguousarray(oriented[:, :2]), corner, size, size, CELL_M)
+        grid = evidence.evidence_grid(
+            eyes, first, np.ascontiguousarray(oriented[:, :2]), corner, size, size, CELL_M
+        )
         near = np.abs(oriented[:, :2]).max(axis=1) < REACH_M if len(oriented) else np.zeros(0, bool)
         raw = icp.reference_table(oriented[near])
         surface = cells.smooth_surface(raw, icp.CELL_M, 0.1, 0.06)
@@ -56,12 +60,16 @@ class Place:
     def search_maps(self) -> tuple[SearchMap, SearchMap]:
         """A fine one for narrow windows, a coarse one for wide windows."""
         points, center = self.surface[:, :2], np.zeros(2)
-        return SearchMap.of(points, center, REACH_M, CELL_M), SearchMap.of(points, center, REACH_M, 2 * CELL_M)
+        return SearchMap.of(points, center, REACH_M, CELL_M), SearchMap.of(
+            points, center, REACH_M, 2 * CELL_M
+        )
 
     def agreement(self, place_T_points: FloatArray, surface: FloatArray) -> tuple[float, float]:
         """Share of the commonly seen points that are not contradicted, and share commonly seen."""
         points = np.ascontiguousarray(surface[:, :2])
-        agree, contradict, count = evidence.agreement(self.evidence, self.corner_m, CELL_M, place_T_points, points)
+        agree, contradict, count = evidence.agreement(
+            self.evidence, self.corner_m, CELL_M, place_T_points, points
+        )
         seen = agree + contradict
         return agree / max(1, seen), seen / max(1, count)
 

@@ -15,7 +15,9 @@ from mfslam.kernels import poses
 from mfslam.kernels.cells import CellTable
 from mfslam.types import DeskewedScan, Edge, FloatArray, IntArray, Scan
 
-LOCALISE_SIGMAS = np.array([0.05, 0.05, 0.02])  # how well a scan between keyframes is known before (m, m, rad)
+LOCALISE_SIGMAS = np.array(
+    [0.05, 0.05, 0.02]
+)  # how well a scan between keyframes is known before (m, m, rad)
 
 
 def neighbours(world_T_body: FloatArray, config: RefineConfig) -> list[tuple[int, int]]:
@@ -24,8 +26,9 @@ def neighbours(world_T_body: FloatArray, config: RefineConfig) -> list[tuple[int
     from scipy.spatial import cKDTree
 
     tree = cKDTree(world_T_body[:, :2])
+    nearby: Sequence[list[int]] = tree.query_ball_point(world_T_body[:, :2], config.radius_m)  # type: ignore[assignment]
     pairs: list[tuple[int, int]] = []
-    for j, near in enumerate(tree.query_ball_point(world_T_body[:, :2], config.radius_m)):
+    for j, near in enumerate(nearby):
         for i in range(max(0, j - config.successive), j):
             pairs.append((i, j))
         others = np.array([i for i in near if i < j - config.successive], dtype=np.int64)

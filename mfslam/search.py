@@ -59,9 +59,10 @@ def search(
     step = place.cell_m / reach
     n = math.ceil(half_window_rad / step)
     angles = np.arange(-n, n + 1) * step
-    return correlate.branch_and_bound(
+    pose, score = correlate.branch_and_bound(
         place.levels, place.origin_m, place.cell_m, points, center, angles, half_window_m, min_score, avoid
     )
+    return pose, score
 
 
 def thin_evenly(points_m: FloatArray, count: int) -> FloatArray:

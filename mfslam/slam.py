@@ -243,9 +243,7 @@ class Slam:
         compass = self._heading.compass(t1)
         if compass is not None:
             heading_rad, sigma_rad = compass
-            yield Edge(
-                "heading", j, j, np.array([0.0, 0.0, heading_rad]), np.diag([0.0, 0.0, sigma_rad**-2])
-            )
+            yield Edge("heading", j, j, np.array([0.0, 0.0, heading_rad]), np.diag([0.0, 0.0, sigma_rad**-2]))
 
     def _close_loops(self) -> None:
         with self.clock.time("graph"):
@@ -299,9 +297,7 @@ class Slam:
             twists = self._twists(self._scan_poses(world_T_keyframe))
             for keyframe in self.keyframes:
                 n = keyframe.scan_index
-                keyframe.cloud = deskew(
-                    self.scans[n], twists[n], config.deskew, config.icp.point_spacing_m
-                )
+                keyframe.cloud = deskew(self.scans[n], twists[n], config.deskew, config.icp.point_spacing_m)
             pairs = refine.neighbours(world_T_keyframe, config.refine)
             sigma_m = self.scans[0].laser.range_sigma_m
             matched = refine.match_neighbours(

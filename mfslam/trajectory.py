@@ -54,8 +54,6 @@ def twists_over(
     half = 0.5 * np.maximum(ends_s - starts_s, window_s)
     t0 = np.clip(middle - half, times_s[0], times_s[-1])
     t1 = np.clip(middle + half, times_s[0], times_s[-1])
-    motion = se2.log(
-        se2.between(poses_at(times_s, world_T_body, t0), poses_at(times_s, world_T_body, t1))
-    )
+    motion = se2.log(se2.between(poses_at(times_s, world_T_body, t0), poses_at(times_s, world_T_body, t1)))
     span = (t1 - t0)[:, None]
     return np.where(span > 1e-3, motion / np.maximum(span, 1e-3), 0.0)
