@@ -30,6 +30,7 @@ from mfslam.types import (
 MAX_CELLS = 400_000_000
 _CHUNK_BEAMS = 100_000
 _BORDER_CELLS = 2
+_ALONG_CELLS = 5  # a wall is straight for about this long to either side
 _BAND_ROWS = 512  # large grids are judged band by band, for the sake of memory
 _MIN_FREE_M2 = 0.05  # smaller pockets of free space are crumbs behind walls and windows
 
@@ -244,7 +245,7 @@ def _thin(occupied: BoolArray, hits: raytrace.CountArray, sigma_cells: float) ->
     window = radius + 1
     weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / smooth) ** 2)
     reach = max(1, math.ceil(2.5 * sigma_cells))
-    halo = max(window, reach)
+    halo = max(window, reach + _ALONG_CELLS)
     rows, cols = hits.shape
     flanks, values = [cells[:0]], [np.zeros(0, np.float32)]
     for top in range(0, rows, _BAND_ROWS):
@@ -253,7 +254,7 @@ def _thin(occupied: BoolArray, hits: raytrace.CountArray, sigma_cells: float) ->
         inside = cells[slice(*np.searchsorted(cells[:, 0], [top, top + _BAND_ROWS]))]
         density = np.zeros((last - first, cols), np.float32)
         walls.smooth_hits(hits, around, weights, first, density)
-        is_flank, value = walls.find_flanks(density, first, inside, reach, window)
+        is_flank, value = walls.find_flanks(density, first, inside, reach, window, _ALONG_CELLS)
         flanks.append(inside[is_flank])
         values.append(value[is_flank])
     walls.thin_walls(occupied, np.concatenate(flanks)[np.argsort(np.concatenate(values), kind="stable")])

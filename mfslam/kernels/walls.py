@@ -35,11 +35,13 @@ def smooth_hits(
 
 @njit(cache=True, nogil=True)
 def find_flanks(
-    density: Float32Array, top: int, cells: IntArray, reach: int, window: int
+    density: Float32Array, top: int, cells: IntArray, reach: int, window: int, along: int
 ) -> tuple[BoolArray, Float32Array]:
     """Which ``cells`` (K, 2) have a denser one within ``reach`` cells straight across the wall; their density.
 
-    ``density``: a band of rows from ``top`` on. The wall's direction is that of the spread of ``density`` in a window of ``2 window + 1`` cells.
+    ``density``: a band of rows from ``top`` on. What is compared is the sum over ``along`` cells to either
+    side along the wall, so that a wall on the border of two rows of cells stays in one of them. The
+    wall's direction is that of the spread of ``density`` in a window of ``2 window + 1`` cells.
     """
     rows, cols = density.shape
     flank, values = np.zeros(cells.shape[0], np.bool_), np.empty(cells.shape[0], np.float32)
@@ -61,23 +63,43 @@ def find_flanks(
         across = 0.5 * math.atan2(2.0 * cxy, cxx - cyy) + 0.5 * math.pi
         nx, ny = math.cos(across), math.sin(across)
         scale = 1.0 / max(abs(nx), abs(ny))
-        own = density[row, col]
-        values[k] = own
+        values[k] = density[row, col]
+        own = _sum_along(density, row, col, nx, ny, along)
         for t in range(-reach, reach + 1):
             i, j = row + round(t * ny * scale), col + round(t * nx * scale)
-            if t == 0 or i < 0 or j < 0 or i >= rows or j >= cols:
+            if t == 0 or _density_at(density, i, j) == 0.0:
                 continue
+            other = _sum_along(density, i, j, nx, ny, along)
             # equal ones: the first in reading order stays
-            if density[i, j] > own or (density[i, j] == own and (i, j) < (row, col)):
+            if other > own or (other == own and (i, j) < (row, col)):
                 flank[k] = True
                 break
         # straight across a slanted wall lies every other diagonal only: the one between is beside it
-        if not flank[k] and min(abs(nx), abs(ny)) > 0.4 and 0 < row < rows - 1 and 0 < col < cols - 1:
+        if not flank[k] and min(abs(nx), abs(ny)) > 0.4:
             up, right = (1 if ny > 0.0 else -1), (1 if nx > 0.0 else -1)
-            flank[k] = (density[row + up, col] > own and density[row, col + right] > own) or (
-                density[row - up, col] > own and density[row, col - right] > own
-            )
+            for side in (-1, 1):
+                flank[k] |= (
+                    _density_at(density, row + side * up, col) > values[k]
+                    and _density_at(density, row, col + side * right) > values[k]
+                )
     return flank, values
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _density_at(density: Float32Array, row: int, col: int) -> float:
+    inside = 0 <= row < density.shape[0] and 0 <= col < density.shape[1]
+    return density[row, col] if inside else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _sum_along(density: Float32Array, row: int, col: int, nx: float, ny: float, along: int) -> float:
+    """Sum over a piece of wall with the normal (nx, ny), its middle at a cell, less to its ends."""
+    scale = 1.0 / max(abs(nx), abs(ny))
+    total = 0.0
+    for a in range(-along, along + 1):
+        at = _density_at(density, row + round(a * nx * scale), col - round(a * ny * scale))
+        total += (along + 1 - abs(a)) * at
+    return total
 
 
 @njit(cache=True, nogil=True)

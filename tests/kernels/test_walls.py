@@ -49,7 +49,7 @@ def test_a_blurred_wall_becomes_its_ridge(angle_deg):
     weights = np.exp(-0.5 * (np.arange(-3, 4) / sigma) ** 2)
     density = np.zeros(hits.shape, np.float32)
     smooth_hits(hits, cells, weights, 0, density)
-    flank, value = find_flanks(density, 0, cells, 4, 4)
+    flank, value = find_flanks(density, 0, cells, 4, 4, 5)
     thin_walls(occupied, cells[flank][np.argsort(value[flank], kind="stable")])
     left = np.argwhere(occupied) + 0.5
     inner = np.abs(c * (left[:, 1] - 40.3) + s * (left[:, 0] - 40.6)) < 28
