@@ -265,8 +265,8 @@ class MapConfig(_Stage):
         0.15,
         gt=0,
         lt=1,
-        description="A cell is occupied when hits / (hits + passes) is at least this: a thin leg of a chair, or "
-        "glass, which is seen from straight ahead only, comes to about 0.2; people come to less.",
+        description="A cell is occupied when hits / (hits + passes) is at least this: a thin leg of a chair may "
+        "come to no more than 0.2, people who walk by come to less.",
     )
 
 
