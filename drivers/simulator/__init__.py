@@ -5,6 +5,7 @@ The motion is a chain of constant twists, so the pose is known in closed form at
 is cast from the pose at its own instant (no scan is a snapshot here either).
 """
 
+import mfslam.kernels  # noqa: F401 (settles where compiled code is cached)
 from drivers.simulator.demo import demo_simulation
 from drivers.simulator.motion import Motion
 from drivers.simulator.offices import random_office
