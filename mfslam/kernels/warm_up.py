@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from importlib import import_module
+from pkgutil import iter_modules
 from typing import Any
 
 import numpy as np
 
+from mfslam import kernels
 from mfslam.kernels import align, cells, correlate, evidence, matrices, poses, raytrace, reach, scans, walls
+from mfslam.types import FloatArray
 
 
 def compile_once(tell: Callable[[str], None]) -> float:
     """Make sure that compiled kernels lie in the cache; returns the CPU seconds it took (0: they did)."""
     if all(_is_cached(kernel) for kernel in _kernels()):
         return 0.0
-    tell("first run: compiling kernels (once per installation, some 20 s) ...")
+    tell("first run: compiling kernels (once per installation, some 15 s) ...")
     start_s = time.process_time()
     call_all()
     cpu_s = time.process_time() - start_s
@@ -24,7 +28,8 @@ def compile_once(tell: Callable[[str], None]) -> float:
 
 
 def _kernels() -> list[Any]:
-    modules = (align, cells, correlate, evidence, matrices, poses, raytrace, reach, scans, walls)
+    """All compiled functions of this room that are called from outside of compiled code."""
+    modules = (import_module(f"{__package__}.{found.name}") for found in iter_modules(kernels.__path__))
     return [
         item
         for module in modules
@@ -44,20 +49,65 @@ def _is_cached(kernel: Any) -> bool:
 
 def call_all() -> None:
     """Call every kernel with small arguments of the types that the engine uses."""
+    points, normals, table = _prepare_scan()
+    _call_poses(points, normals)
+    _call_registration(points, normals, table)
+    _call_loop_closure(points)
+    _call_mapping()
+
+
+def _prepare_scan() -> tuple[FloatArray, FloatArray, cells.CellTable]:
     angles = np.linspace(-1.5, 1.5, 40)
     ranges = np.full(40, 2.0, np.float32)
-    zero = np.zeros(3)
-    points, beams = scans.project_beams(ranges, angles, np.zeros(40), zero, np.ones(3), 0.1, 10.0)
-    normals = scans.estimate_normals(points, beams, zero[:2], 0.08, 0.01)
+    points, beams = scans.project_beams(ranges, angles, np.zeros(40), np.zeros(3), np.ones(3), 0.1, 10.0)
+    normals = scans.estimate_normals(points, beams, np.zeros(2), 0.08, 0.01)
     scans.thin_points(points, normals, 0.05)
-    oriented = np.empty((len(points), 4))
-    poses.transform_points(poses.compose(zero, poses.between(zero, zero)), points, normals, oriented)
-    table = cells.build_cells(oriented, 0.25)
+    table = cells.build_cells(np.hstack([points, normals]), 0.25)
     cells.smooth_surface(table, 0.25, 0.1, 0.05)
-    align.point_to_line(table, 0.25, points, normals, zero, zero, np.eye(3), 0.02, 3.0, 0.5, 0.1, 3)
-    corner = np.array([-3.0, -3.0])
+    return points, normals, table
+
+
+def _call_poses(points: FloatArray, normals: FloatArray) -> None:
+    pose = poses.compose(np.zeros(3), poses.between(np.zeros(3), np.ones(3)))
+    poses.advance(poses.interpolate(np.zeros(3), pose, 0.5), poses.log(pose), 0.1)
+    poses.transform_points(pose, points, normals, np.empty((len(points), 4)))
+    matrices.upper_root(matrices.add_error(np.eye(3), 0.1, 0.1), 1e-6, 1e-9)
+
+
+def _call_registration(points: FloatArray, normals: FloatArray, table: cells.CellTable) -> None:
+    pose = np.zeros(3)
+    align.point_to_line(table, 0.25, points, normals, pose, pose, np.eye(3), 0.02, 3.0, 0.5, 0.1, 3)
+    align.point_to_point(table, table, 0.25, pose, 0.5, 0.1, 3)
+    align.rigid_fit(points, points)
+
+
+def _call_loop_closure(points: FloatArray) -> None:
+    corner, pose = np.array([-3.0, -3.0]), np.zeros(3)
     levels = correlate.pyramid(correlate.likelihood_grid(points, corner, 60, 60, 0.1, 0.1), 3)
-    correlate.branch_and_bound(levels, corner, 0.1, points, zero, np.zeros(1), 0.3, 0.1, zero)
+    correlate.branch_and_bound(levels, corner, 0.1, points, pose, np.zeros(1), 0.3, 0.1, pose)
     grid = evidence.evidence_grid(np.zeros((1, 2)), np.array([0, len(points)]), points, corner, 60, 60, 0.1)
-    evidence.agreement(grid, corner, 0.1, zero, points)
+    evidence.agreement(grid, corner, 0.1, pose, points)
     reach.relative_sigmas(0, np.zeros((2, 3)), np.array([0, 1, 2]), np.array([1, 0]), np.ones((2, 2)))
+
+
+def _call_mapping() -> None:
+    shape, angles = (2, 40), np.linspace(-1.5, 1.5, 40)
+    starts, ends, stops = np.empty((*shape, 2)), np.empty((*shape, 2)), np.empty((*shape, 2))
+    kinds = np.empty(shape, np.int8)
+    raytrace.place_beams(
+        np.full(shape, 2.0, np.float32), np.zeros((2, 3)), np.ones((2, 3)), angles, np.zeros(40), np.zeros(3),
+        (0.1, 10.0, 0.0), starts, ends, kinds,
+    )  # fmt: skip
+    raytrace.limit_range(starts, ends, kinds, 10.0, np.zeros(4))
+    raytrace.stop_short(starts, ends, kinds, 0.02, stops)
+    hits, passes, near = (np.zeros((80, 80), np.uint16) for _ in range(3))
+    raytrace.trace_beams(
+        starts.reshape(-1, 2), stops.reshape(-1, 2), ends.reshape(-1, 2), kinds.ravel(),
+        np.array([-4.0, -4.0]), 0.1, hits, passes, near,
+    )  # fmt: skip
+    occupied = hits > 0
+    found = np.argwhere(occupied)
+    density = np.zeros(hits.shape, np.float32)
+    walls.smooth_hits(hits, found, np.ones(3), 0, density)
+    is_flank, _ = walls.find_flanks(density, 0, found, 1, 2, 1)
+    walls.thin_walls(occupied, np.concatenate([found[is_flank]]))
