@@ -36,8 +36,9 @@ from mfslam.types import (
 
 POOR_FIT, GOOD_FIT = 0.25, 0.65  # inlier ratios between which a match gains its full weight
 WEAK_SIGMA_M = 0.1  # a match less sure than this along some direction is weak
-# of a step that neither scan nor wheels tell (10 m, 10 rad): without it the chain of poses would break there
-HARDLY_ANYTHING = np.diag([0.01, 0.01, 0.01])
+# of a step that neither scan nor wheels tell (1 m, 1 rad): without it the chain of poses would break there
+HARDLY_ANYTHING = np.eye(3)
+INERTIA = 25.0 * np.eye(3)  # what holds a robot without wheels where its scans leave a direction open
 LAG_S = 0.5  # odometry older than this says nothing of a scan
 
 
@@ -225,9 +226,10 @@ class Slam:
         assert step.match is not None
         trust = np.clip((step.match.inlier_ratio - POOR_FIT) / (GOOD_FIT - POOR_FIT), 0.02, 1.0) ** 2
         prev_T_body = poses.between(previous.local_T_body, keyframe.local_T_body)
-        yield Edge("scan", i, j, prev_T_body, trust * step.match.information + HARDLY_ANYTHING)
         a, b = previous.scan_index, keyframe.scan_index
         odom_a, odom_b = self._odom_T_body[a], self._odom_T_body[b]
+        least = INERTIA if odom_a is None or odom_b is None else HARDLY_ANYTHING
+        yield Edge("scan", i, j, prev_T_body, trust * step.match.information + least)
         if odom_a is not None and odom_b is not None:
             wheels = poses.between(odom_a, odom_b)
             jumped = bool(self.odometry_jumps) and self.odometry_jumps[-1] > a
