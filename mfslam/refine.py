@@ -32,7 +32,7 @@ def neighbours(world_T_body: FloatArray, config: RefineConfig) -> list[tuple[int
         for i in range(max(0, j - config.successive), j):
             pairs.append((i, j))
         others = np.array([i for i in near if i < j - config.successive], dtype=np.int64)
-        if others.size:
+        if others.size and config.others:
             pairs += [(i, j) for i in _spread(world_T_body, j, others, config.others)]
     return pairs
 
