@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import gzip
 import json
-import os
 import random
 import resource
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from short_logs import carmen_lines
 
 from mfslam.cli import main
-from short_logs import carmen_lines
 
 Lines = list[str]
 
@@ -204,7 +203,7 @@ def test_an_old_run_is_kept_unless_told(
     assert main([*command, "--set", "map.resolution_m=0.1", "--overwrite"]) == 0
     assert (out / "map.pgm").read_bytes() != before["map.pgm"]
     assert (out / "mine.txt").read_text() == "kept"
-    assert sorted(os.listdir(out)) == sorted([*before, "mine.txt"])
+    assert {path.name for path in out.iterdir()} == {*before, "mine.txt"}
 
 
 def write(folder: Path, lines: Lines) -> Path:

@@ -63,7 +63,9 @@ def map_log(
     with slam.clock.time("map"):
         grid, points = render_map(slam.scans, solution.world_T_reference, solution.twists, config)
     if not len(points.points_m):
-        raise MfslamError(f"{log.info.path}: none of its {len(slam.scans)} scans has a usable range: nothing to map")
+        raise MfslamError(
+            f"{log.info.path}: none of its {len(slam.scans)} scans has a usable range: nothing to map"
+        )
     findings.merge(log.findings)
     findings.merge(slam.findings)
     result = RunResult(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from typing import Any
@@ -38,7 +39,10 @@ class Progress:
         from tqdm import tqdm
 
         bar_format = "{desc} {percentage:3.0f} % |{bar:30}| {elapsed}{postfix}"
-        self._bar = tqdm(total=100.0, desc=title, bar_format=bar_format, mininterval=0.0)
+        columns = min(
+            100, shutil.get_terminal_size().columns
+        )  # tqdm draws nothing where a terminal has no size
+        self._bar = tqdm(total=100.0, desc=title, bar_format=bar_format, mininterval=0.0, ncols=columns)
 
     def update(self, share: float, log_s: float) -> None:
         """``share`` of the log that was read, ``log_s`` seconds of it."""
