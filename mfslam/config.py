@@ -154,6 +154,13 @@ class IcpConfig(_Stage):
         description="Share of the beams that count as independent in the information of a match: errors of "
         "neighbouring beams are correlated.",
     )
+    open_share: float = Field(
+        0.01,
+        ge=0,
+        lt=1,
+        description="A direction with less than this share of the information across it is open, as along a "
+        "bare corridor: noise feigns that much.",
+    )
     sigma_floor_m: float = Field(0.004, ge=0, description="Systematic error of any match, m (one sigma).")
     sigma_floor_deg: float = Field(0.10, ge=0, description="Systematic error of any match, deg (one sigma).")
 
@@ -194,6 +201,9 @@ class LoopsConfig(_Stage):
     )
     min_agreement: float = Field(
         0.85, gt=0, lt=1, description="Share of commonly seen points that must not lie in the other's free space."
+    )
+    max_sigma_m: float = Field(
+        0.1, gt=0, description="A loop that leaves a direction open beyond this is no loop, m (one sigma)."
     )
     min_coverage: float = Field(0.4, gt=0, lt=1, description="Share of a place that the other must have seen.")
     ambiguous_score: float = Field(

@@ -14,7 +14,7 @@ from mfslam.config import GraphConfig
 from mfslam.kernels import poses as pose_kernels
 from mfslam.types import Edge, FloatArray, MfslamError
 
-SETTLED = 0.02  # m or rad: a loop that moves the newest pose less needs no further iteration
+SETTLED = 0.1  # m or rad: a loop that moves the newest pose less needs no further iteration
 PRIOR_SIGMAS = np.array([1e-4, 1e-4, 1e-5])  # the first pose defines the world
 
 
@@ -112,7 +112,8 @@ class PoseGraph:
         if loops:
             params = gtsam.GncLMParams()
             params.setLossType(gtsam.GncLossType.TLS)
-            params.setScheduler(gtsam.GncScheduler.SuperLinear)
+            # the default schedule: the faster one believes false loops where true ones are few
+            params.setScheduler(gtsam.GncScheduler.Linear)
             # slot 0 is the prior
             params.setKnownInliers(sorted(set(range(graph.size())) - {n + 1 for n in loops}))
             gnc = gtsam.GncLMOptimizer(graph, values, params)

@@ -3,7 +3,9 @@ that agree before any from a wide search is believed."""
 
 from __future__ import annotations
 
+import bisect
 import math
+from array import array
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -61,7 +63,7 @@ class LoopCloser:
         self.icp_config = config.icp
         self.gate_chi2 = chi2_quantile(config.graph.gate_probability)
         self.keyframes = keyframes
-        self.travel_m: list[float] = []
+        self.travel_m = array("d")
         self.statistics = LoopStatistics()
         self.uncertainty = RelativeUncertainty()
         self._memory = PlaceMemory(keyframes)
@@ -152,16 +154,14 @@ class LoopCloser:
         """The keyframe in the middle of the half segment of ``k``: one place serves all its neighbours."""
         half = self.config.segment_m / 2.0
         middle = (math.floor(self.travel_m[k] / half) + 0.5) * half
-        return min(int(np.searchsorted(self.travel_m, middle)), len(self.travel_m) - 1)
+        return min(bisect.bisect_left(self.travel_m, middle), len(self.travel_m) - 1)
 
     def _members(self, anchor: int, trailing: bool) -> range:
         """Keyframes within half a segment of the anchor (trailing: a whole segment before it)."""
         segment = self.config.segment_m
         low = self.travel_m[anchor] - (segment if trailing else segment / 2.0)
         high = self.travel_m[anchor] + (0.0 if trailing else segment / 2.0)
-        return range(
-            int(np.searchsorted(self.travel_m, low)), int(np.searchsorted(self.travel_m, high, side="right"))
-        )
+        return range(bisect.bisect_left(self.travel_m, low), bisect.bisect_right(self.travel_m, high))
 
     # --- search and verification ----------------------------------------------------------------------
 
@@ -227,6 +227,9 @@ class LoopCloser:
         ) < (config.wide_agreement if wide else config.min_agreement):
             self.statistics.refuse("contradicted by free space")
             return False
+        if np.linalg.eigvalsh(match.information[:2, :2])[0] < config.max_sigma_m**-2:
+            self.statistics.refuse("open in a direction")
+            return False
         wanted = config.wide_inlier_ratio if wide else config.min_inlier_ratio
         if match.inlier_ratio < wanted * seen_there:
             self.statistics.refuse("poor fit")
@@ -257,8 +260,8 @@ class LoopCloser:
         """chi2 of the loop under the joint marginal of both poses."""
         predicted = poses.between(world_T_body[loop.i], world_T_body[loop.j])
         error = poses.between(predicted, loop.match.ref_T_src)
-        covariance = relative_covariance(loop.i, loop.j) + np.linalg.pinv(
-            loop.match.information, hermitian=True
+        covariance = relative_covariance(loop.i, loop.j) + np.linalg.inv(
+            loop.match.information + 1e-6 * np.eye(3)
         )
         return float(error @ np.linalg.solve(covariance, error)) < self.gate_chi2
 

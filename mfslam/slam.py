@@ -44,17 +44,17 @@ LAG_S = 0.5  # odometry older than this says nothing of a scan
 
 @dataclass
 class Clock:
-    """CPU seconds per stage."""
+    """Wall seconds per stage (asking for CPU time at every scan would itself cost time)."""
 
     seconds: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
     def time(self, stage: str) -> Iterator[None]:
-        start = time.process_time()
+        start = time.perf_counter()
         try:
             yield
         finally:
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + time.process_time() - start
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
 
 
 @dataclass(eq=False)
@@ -199,7 +199,12 @@ class Slam:
                 f"{scan.stamp_ns * 1e-9:.6f} s",
             )
             return None
-        return track.pose_at(reference_s)
+        since_s = reference_s - track.times_s[-1]
+        if since_s <= 0.0:
+            return track.pose_at(reference_s)
+        # the wheels have not told this instant yet: they turn on as they did, and do not stand still
+        twist = track.twist_over(track.times_s[-1], track.times_s[-1], self.config.odometry)
+        return se2.compose(track.odom_T_body[-1], se2.exp(twist * since_s))
 
     # --- keyframes ----------------------------------------------------------------------------------
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
+
 import numpy as np
 
 from mfslam.kernels import reach
@@ -15,23 +17,21 @@ class RelativeUncertainty:
     """Grows with the graph; bounds the joint marginals from above by covariances along shortest paths."""
 
     def __init__(self) -> None:
-        self._i: list[int] = []
-        self._j: list[int] = []
-        self._variances: list[tuple[float, float]] = []
+        self._ends = array("q")  # i, j of each edge
+        self._variances = array("d")  # of position, of heading of each edge
 
     def add(self, edge: Edge) -> None:
         """Take note of an edge between two keyframes."""
         covariance = np.linalg.inv(edge.information + LEAST_KNOWN)
-        self._i.append(edge.i)
-        self._j.append(edge.j)
-        self._variances.append((covariance[0, 0] + covariance[1, 1], covariance[2, 2]))
+        self._ends.extend((edge.i, edge.j))
+        self._variances.extend((covariance[0, 0] + covariance[1, 1], covariance[2, 2]))
 
     def seen_from(self, keyframe: int, world_T_body: FloatArray) -> tuple[FloatArray, FloatArray]:
         """One-sigma position (m) and heading (rad), (K,) each, of every keyframe seen from one of them."""
         count = len(world_T_body)
-        i, j = np.array(self._i, dtype=np.int64), np.array(self._j, dtype=np.int64)
+        pairs = np.array(self._ends).reshape(-1, 2)
         variances = np.array(self._variances).reshape(-1, 2)
-        ends, others = np.concatenate([i, j]), np.concatenate([j, i])
+        ends, others = pairs.T.ravel(), pairs[:, ::-1].T.ravel()
         order = np.argsort(ends, kind="stable")
         first = np.searchsorted(ends[order], np.arange(count + 1)).astype(np.int64)
         out = reach.relative_sigmas(

@@ -37,11 +37,15 @@ def evidence_grid(
             steps = int(length - 2.0)
             if length > 0.0:
                 ux, uy = dx / length, dy / length
+                last_x, last_y = -1, -1
                 for t in range(steps):
                     fx, fy = ox + ux * t, oy + uy * t
                     if fx < 0.0 or fy < 0.0:
                         continue
                     ix, iy = int(fx), int(fy)
+                    if ix == last_x and iy == last_y:
+                        continue  # a step may stay within its cell: one ray is one witness
+                    last_x, last_y = ix, iy
                     if ix < cols and iy < rows and passes[iy, ix] < 2:
                         passes[iy, ix] += 1
     for iy in range(rows):

@@ -57,3 +57,32 @@ def upper_root(information: FloatArray, absolute_floor: float, relative_floor: f
             else:
                 root[u, v] = rest / root[u, u]
     return root
+
+
+@njit(cache=True, nogil=True)
+def drop_open_direction(information: FloatArray, least_share: float) -> FloatArray:
+    """Information (3, 3) without what noise feigns along an open direction.
+
+    Along a bare corridor the true information is none, but normals that are not quite exact feign some
+    tenths of a percent of that across it. A direction of translation with less than ``least_share`` of
+    the information of the one across is taken for open: nothing of it is left.
+    """
+    a, b, d = information[0, 0], information[0, 1], information[1, 1]
+    root = math.sqrt(0.25 * (a - d) * (a - d) + b * b)
+    strong, weak = 0.5 * (a + d) + root, 0.5 * (a + d) - root
+    if weak >= least_share * strong:
+        return information.copy()
+    # the weak eigenvector stands across the strong one
+    angle = 0.5 * math.atan2(2.0 * b, a - d) + 0.5 * math.pi
+    v0, v1 = math.cos(angle), math.sin(angle)
+    p00, p01, p11 = 1.0 - v0 * v0, -v0 * v1, 1.0 - v1 * v1
+    out = np.empty((3, 3))
+    out[2, 2] = information[2, 2]
+    # P H P with P = I - v v^T on the translation
+    h00, h01 = p00 * a + p01 * b, p00 * b + p01 * d
+    h10, h11 = p01 * a + p11 * b, p01 * b + p11 * d
+    out[0, 0], out[1, 1] = h00 * p00 + h01 * p01, h10 * p01 + h11 * p11
+    out[0, 1] = out[1, 0] = h00 * p01 + h01 * p11
+    out[0, 2] = out[2, 0] = p00 * information[0, 2] + p01 * information[1, 2]
+    out[1, 2] = out[2, 1] = p01 * information[0, 2] + p11 * information[1, 2]
+    return out
