@@ -39,10 +39,11 @@ class Progress:
         from tqdm import tqdm
 
         bar_format = "{desc} {percentage:3.0f} % |{bar:30}| {elapsed}{postfix}"
-        columns = min(
-            100, shutil.get_terminal_size().columns
-        )  # tqdm draws nothing where a terminal has no size
-        self._bar = tqdm(total=100.0, desc=title, bar_format=bar_format, mininterval=0.0, ncols=columns)
+        size = shutil.get_terminal_size()  # tqdm itself draws nothing where a terminal tells no size
+        self._bar = tqdm(
+            total=100.0, desc=title, bar_format=bar_format, mininterval=0.0,
+            ncols=min(100, size.columns), nrows=size.lines,
+        )  # fmt: skip
 
     def update(self, share: float, log_s: float) -> None:
         """``share`` of the log that was read, ``log_s`` seconds of it."""
