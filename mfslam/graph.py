@@ -1,0 +1,229 @@
+"""The pose graph: the only owner of gtsam.ISAM2. Own record of every edge, so that nothing is lost when
+gtsam fails, edges can be taken out again, and the graph can be written at full precision."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import gtsam
+import numpy as np
+
+import factors
+from mfslam import se2
+from mfslam.config import GraphConfig
+from mfslam.kernels import poses as pose_kernels
+from mfslam.types import Edge, FloatArray, MfslamError
+
+SETTLED = 0.1  # m or rad: a loop that moves the newest pose less needs no further iteration
+PRIOR_SIGMAS = np.array([1e-4, 1e-4, 1e-5])  # the first pose defines the world
+
+
+class PoseGraph:
+    """Keyframe poses and the edges between them.
+
+    New keyframes and edges wait until a loop closes or a marginal is asked for: until then nothing moves,
+    and an update of many poses at once costs little more than one of a single pose.
+    """
+
+    def __init__(self, config: GraphConfig) -> None:
+        self.config = config
+        self.edges: list[Edge] = []
+        self._count = 0
+        self._world_T_body = np.empty((64, 3))
+        self._isam = self._new_isam()
+        self._pending_factors = gtsam.NonlinearFactorGraph()
+        self._pending_edges: list[int] = []
+        self._pending_values = gtsam.Values()
+        self._factor_slots: dict[int, int] = {}  # edge number -> slot in iSAM2
+        self._removed: set[int] = set()
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def _poses(self) -> FloatArray:
+        return self._world_T_body[: self._count]
+
+    def add_first(self, world_T_body: FloatArray) -> None:
+        """The keyframe that the world hangs on."""
+        self._add_pose(world_T_body)
+        self._pending_factors.add(factors.prior_factor(0, world_T_body, PRIOR_SIGMAS))
+        self._pending_edges.append(-1)
+
+    def add_keyframe(self, prev_T_body: FloatArray, edges: list[Edge]) -> None:
+        """Next keyframe, placed from the previous one, with the edges that tie it to earlier ones."""
+        self._add_pose(pose_kernels.compose(self._poses[-1], prev_T_body))
+        for edge in edges:
+            self.add_edge(edge)
+
+    def add_edge(self, edge: Edge) -> int:
+        """Number of the new edge. Raises MfslamError for an edge that would corrupt the solver."""
+        if not (0 <= edge.i < len(self) and 0 <= edge.j < len(self)):
+            raise MfslamError(f"edge {edge.i}-{edge.j}: no such keyframe (there are {len(self)})")
+        if not (np.all(np.isfinite(edge.i_T_j)) and np.all(np.isfinite(edge.information))):
+            raise MfslamError(f"edge {edge.i}-{edge.j}: measurement or information is not finite")
+        number = len(self.edges)
+        self.edges.append(edge)
+        self._pending_factors.add(self._factor(edge, robust=edge.kind == "loop"))
+        self._pending_edges.append(number)
+        return number
+
+    def remove_edges(self, numbers: list[int]) -> None:
+        """Take edges out again, from the record and from the incremental solution."""
+        self._flush()
+        params = gtsam.ISAM2UpdateParams()
+        params.removeFactorIndices = [self._factor_slots.pop(n) for n in numbers]
+        self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), params)
+        self._removed.update(numbers)
+        self._settle()
+
+    def live_edges(self) -> list[Edge]:
+        return [e for n, e in enumerate(self.edges) if n not in self._removed]
+
+    def poses(self) -> FloatArray:
+        """(K, 3) world_T_body of every keyframe, as the latest solve has them."""
+        if any(n >= 0 and self.edges[n].kind == "loop" for n in self._pending_edges):
+            self._flush()
+        return self._poses.copy()
+
+    def relative_covariance(self, i: int, j: int) -> FloatArray:
+        """(3, 3) covariance of i_T_j, in its tangent, from the joint marginal of both poses."""
+        self._flush()
+        keys = gtsam.KeyVector([i, j])
+        joint = self._isam.jointMarginalCovariance(keys)
+        i_T_j = se2.between(self._poses[i], self._poses[j])
+        jacobian = -se2.adjoint(se2.inverse(i_T_j))
+        ii, ij, jj = joint.at(i, i), joint.at(i, j), joint.at(j, j)
+        cross = jacobian @ ij
+        return np.asarray(jacobian @ ii @ jacobian.T + cross + cross.T + jj)
+
+    def optimize(self) -> list[Edge]:
+        """Batch solve of the whole graph; robust on loop edges by graduated non-convexity.
+
+        Returns all edges with the weight that the solve left them; the poses of the graph become the
+        solution.
+        """
+        self._flush()
+        edges = self.live_edges()
+        values = self._values()
+        loops = [n for n, e in enumerate(edges) if e.kind == "loop"]
+        weights = np.ones(len(edges))
+        graph = self._graph(edges, robust=False)
+        if loops:
+            params = gtsam.GncLMParams()
+            params.setLossType(gtsam.GncLossType.TLS)
+            # the default schedule: the faster one believes false loops where true ones are few
+            params.setScheduler(gtsam.GncScheduler.Linear)
+            # slot 0 is the prior
+            params.setKnownInliers(sorted(set(range(graph.size())) - {n + 1 for n in loops}))
+            gnc = gtsam.GncLMOptimizer(graph, values, params)
+            gnc.setInlierCostThresholdsAtProbability(self.config.loop_inlier_probability)
+            values = gnc.optimize()
+            weights[:] = np.asarray(gnc.getWeights())[1:]
+        else:
+            values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+        self._poses[:] = gtsam.utilities.extractPose2(values)
+        return [dataclasses.replace(e, weight=float(w)) for e, w in zip(edges, weights, strict=True)]
+
+    def optimize_with(self, edges: list[Edge]) -> list[Edge]:
+        """Batch solve from the poses as they stand with these edges instead, robust on scans and loops.
+
+        Loops that an earlier solve refused (weight below one half) stay out. Returns the edges with the
+        weights of their kernels; the poses of the graph become the solution.
+        """
+        used = [e for e in edges if e.weight >= 0.5]
+        values = gtsam.LevenbergMarquardtOptimizer(self._graph(used, robust=True), self._values()).optimize()
+        self._poses[:] = gtsam.utilities.extractPose2(values)
+        return [
+            dataclasses.replace(e, weight=self._kernel_weight(e)) if e.weight >= 0.5 else e for e in edges
+        ]
+
+    # --- inside ---------------------------------------------------------------------------------------
+
+    def _new_isam(self) -> gtsam.ISAM2:
+        params = gtsam.ISAM2Params()
+        params.setRelinearizeThreshold(0.02)
+        params.relinearizeSkip = 1
+        params.findUnusedFactorSlots = True
+        return gtsam.ISAM2(params)
+
+    def _add_pose(self, world_T_body: FloatArray) -> None:
+        if self._count == len(self._world_T_body):
+            self._world_T_body = np.concatenate([self._world_T_body, np.empty_like(self._world_T_body)])
+        self._pending_values.insert(self._count, gtsam.Pose2(*world_T_body))
+        self._world_T_body[self._count] = world_T_body
+        self._count += 1
+
+    def _factor(self, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:
+        if edge.kind == "heading":
+            sigma_rad = float(edge.information[2, 2]) ** -0.5
+            if edge.i == edge.j:
+                return factors.compass_factor(edge.i, float(edge.i_T_j[2]), sigma_rad)
+            return factors.gyro_factor(edge.i, edge.j, float(edge.i_T_j[2]), sigma_rad)
+        make = factors.wheel_odometry_factor if edge.kind == "odometry" else factors.scan_match_factor
+        factor = make(edge.i, edge.j, edge.i_T_j, edge.information)
+        if robust:
+            noise = factors.robust_noise(factor.noiseModel(), "cauchy", self.config.loop_kernel_sigmas)
+            return gtsam.BetweenFactorPose2(edge.i, edge.j, gtsam.Pose2(*edge.i_T_j), noise)
+        return factor
+
+    def _kernel_weight(self, edge: Edge) -> float:
+        """What the Cauchy kernel leaves of a scan or loop edge at the poses as they stand."""
+        if edge.kind not in ("scan", "loop"):
+            return 1.0
+        error = pose_kernels.between(
+            edge.i_T_j, pose_kernels.between(self._poses[edge.i], self._poses[edge.j])
+        )
+        chi2 = float(error @ edge.information @ error)
+        return 1.0 / (1.0 + chi2 / self.config.loop_kernel_sigmas**2)
+
+    def _graph(self, edges: list[Edge], robust: bool) -> gtsam.NonlinearFactorGraph:
+        graph = gtsam.NonlinearFactorGraph()
+        graph.add(factors.prior_factor(0, self._poses[0], PRIOR_SIGMAS))
+        for edge in edges:
+            graph.add(self._factor(edge, robust=robust and edge.kind in ("loop", "scan")))
+        return graph
+
+    def _values(self) -> gtsam.Values:
+        values = gtsam.Values()
+        for key, pose in enumerate(self._poses):
+            values.insert(key, gtsam.Pose2(*pose))
+        return values
+
+    def _flush(self) -> None:
+        """Hand what is waiting to iSAM2; rebuild it from our own record when an update fails."""
+        if not self._pending_edges and not self._pending_values.size():
+            return
+        closes_loop = any(n >= 0 and self.edges[n].kind == "loop" for n in self._pending_edges)
+        try:
+            result = self._isam.update(self._pending_factors, self._pending_values)
+            slots = result.getNewFactorsIndices()
+            self._factor_slots.update(zip(self._pending_edges, slots, strict=True))
+        except (RuntimeError, IndexError):
+            self._rebuild()
+        self._pending_factors, self._pending_edges = gtsam.NonlinearFactorGraph(), []
+        self._pending_values = gtsam.Values()
+        before = self._poses[-1].copy()
+        self._read_back()
+        if closes_loop and np.abs(self._poses[-1] - before).max() > SETTLED:
+            self._settle()
+
+    def _settle(self) -> None:
+        """More iterations after the graph has changed its shape."""
+        for _ in range(2):
+            self._isam.update()
+        self._read_back()
+
+    def _read_back(self) -> None:
+        self._poses[:] = gtsam.utilities.extractPose2(self._isam.calculateEstimate())
+
+    def _rebuild(self) -> None:
+        """A failed update leaves ISAM2 corrupt: start anew from the record of edges and poses."""
+        self._isam = self._new_isam()
+        numbers = [n for n in range(len(self.edges)) if n not in self._removed]
+        graph = gtsam.NonlinearFactorGraph()
+        graph.add(factors.prior_factor(0, self._poses[0], PRIOR_SIGMAS))
+        for n in numbers:
+            graph.add(self._factor(self.edges[n], robust=self.edges[n].kind == "loop"))
+        result = self._isam.update(graph, self._values())
+        self._factor_slots = dict(zip([-1, *numbers], result.getNewFactorsIndices(), strict=True))
