@@ -18,18 +18,26 @@ DISTRUSTED_SHARE = 1e-4  # of the information of a step that the scans contradic
 class OdometryTrack:
     """Dead-reckoned poses in log order. Stamps that go backwards are held at the latest one seen."""
 
-    def __init__(self) -> None:
+    def __init__(self, config: OdometryConfig | None = None) -> None:
+        self._config = config or OdometryConfig()
         self.times_s: list[float] = []
         self.odom_T_body: list[FloatArray] = []
         self.backwards_s = 0.0  # largest step back of a stamp
         self.has_moved = False
+        self._breaks: list[tuple[float, float]] = []  # knots before and after each jump of the counters
 
     def add(self, time_s: float, odom_T_body: FloatArray) -> None:
         if self.times_s and time_s < self.times_s[-1]:
             self.backwards_s = max(self.backwards_s, self.times_s[-1] - time_s)
             time_s = self.times_s[-1]
-        if not self.has_moved and self.odom_T_body:
-            self.has_moved = bool(np.max(np.abs(odom_T_body - self.odom_T_body[0])) > 1e-3)
+        if self.odom_T_body:
+            if not self.has_moved:
+                self.has_moved = bool(np.max(np.abs(odom_T_body - self.odom_T_body[0])) > 1e-3)
+            # stamps in bursts are no proof of speed: at least twice the usual time between two readings
+            usual_s = (time_s - self.times_s[0]) / len(self.times_s)
+            span_s = max(time_s - self.times_s[-1], 2.0 * usual_s, 1e-3)
+            if not is_plausible(poses.between(self.odom_T_body[-1], odom_T_body) / span_s, self._config):
+                self._breaks.append((self.times_s[-1], time_s))
         self.times_s.append(time_s)
         self.odom_T_body.append(odom_T_body)
 
@@ -49,6 +57,10 @@ class OdometryTrack:
         )
         return pose
 
+    def is_broken(self, start_s: float, end_s: float) -> bool:
+        """Whether the counters jump between two instants."""
+        return any(before < end_s and after > start_s for before, after in self._breaks[-8:])
+
     def twist_over(self, start_s: float, end_s: float, config: OdometryConfig) -> FloatArray:
         """Mean body twist (3,) over an interval, widened where stamps are too coarse or lie."""
         if len(self.times_s) < 2:
@@ -57,12 +69,23 @@ class OdometryTrack:
         pad_s = max(0.0, 0.5 * (window_s - (end_s - start_s)))
         t0 = min(max(start_s - pad_s, self.times_s[0]), self.times_s[-1])
         t1 = max(min(end_s + pad_s, self.times_s[-1]), self.times_s[0])
+        t0, t1 = self._beside_breaks(t0, t1)
         if t1 - t0 < 1e-3:
             return np.zeros(3)
         twist: FloatArray = poses.log(poses.between(self.pose_at(t0), self.pose_at(t1))) / (t1 - t0)
         if not is_plausible(twist, config):
             return np.zeros(3)
         return twist
+
+    def _beside_breaks(self, t0: float, t1: float) -> tuple[float, float]:
+        """The interval moved to one side of a jump within it."""
+        length_s, middle_s = t1 - t0, 0.5 * (t0 + t1)
+        for before, after in self._breaks[-8:]:
+            if before < t1 and after > t0:
+                if middle_s < after:
+                    return max(before - length_s, self.times_s[0]), before
+                return after, min(after + length_s, self.times_s[-1])
+        return t0, t1
 
 
 def is_plausible(twist: FloatArray, config: OdometryConfig) -> bool:

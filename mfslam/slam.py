@@ -94,7 +94,7 @@ class Slam:
         self.odometry_jumps: list[int] = []
         self._frontend = Frontend(config)
         self._wheels = WheelIntegrator(config.wheels, self.findings)
-        self._odometry = OdometryTrack()
+        self._odometry = OdometryTrack(config.odometry)
         self._heading = HeadingTrack(config.imu)
         self._waiting: Scan | None = None
         self._times_s: list[float] = []  # reference instants, held where stamps go backwards
@@ -162,7 +162,7 @@ class Slam:
         step = None
         if odom is not None and previous is not None:
             step = poses.between(previous, odom)
-            if is_jump(step, dt_s, config.odometry):
+            if is_jump(step, dt_s, config.odometry) or self._odometry.is_broken(time_s - dt_s, time_s):
                 self.findings.add(
                     "odometry-jump",
                     "the wheels' pose jumps farther than a robot drives: that step was left to the scans",

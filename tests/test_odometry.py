@@ -86,8 +86,29 @@ def test_a_jump_of_the_wheels_is_no_motion_to_deskew_with():
     track = OdometryTrack()
     for k in range(30):
         track.add(0.1 * k, np.array([0.1 * k + (3.0 if k >= 15 else 0.0), 0.0, 0.0]))
-    np.testing.assert_array_equal(track.twist_over(1.4, 1.5, CONFIG), np.zeros(3))
-    np.testing.assert_allclose(track.twist_over(2.0, 2.1, CONFIG), [1.0, 0.0, 0.0], atol=1e-9)
+    for start_s in np.arange(1.0, 2.0, 0.05):  # what was driven beside the jump is told instead
+        np.testing.assert_allclose(
+            track.twist_over(start_s, start_s + 0.1, CONFIG), [1.0, 0.0, 0.0], atol=1e-9
+        )
+    assert track.is_broken(1.3, 1.45) and track.is_broken(1.45, 1.6)
+    assert not track.is_broken(1.0, 1.4) and not track.is_broken(1.5, 2.0)
+
+
+def test_a_jump_that_hides_in_the_mean_is_one_all_the_same():
+    """0.85 m in one reading of 50 Hz: over 0.3 s a robot could have driven it, over 20 ms none can."""
+    track = OdometryTrack()
+    for k in range(100):
+        track.add(0.02 * k, np.array([0.03 * k + (0.85 if k >= 50 else 0.0), 0.0, 0.0]))
+    assert track.is_broken(0.95, 1.05)
+    np.testing.assert_allclose(track.twist_over(0.95, 1.05, CONFIG), [1.5, 0.0, 0.0], atol=1e-9)
+
+
+def test_readings_in_bursts_are_no_jumps():
+    """Every five readings arrive at once, 0.3 m after the last burst."""
+    track = OdometryTrack()
+    for k in range(100):
+        track.add(0.2 * (k // 5) + 1e-4 * (k % 5), np.array([0.06 * k, 0.0, 0.0]))
+    assert not track.is_broken(0.0, 10.0)
 
 
 def test_what_wheels_can_do():
