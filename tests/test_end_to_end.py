@@ -16,7 +16,7 @@ from mfslam import config, se2
 from mfslam.cli import main
 from mfslam.metrics import read_relations, relations_error
 from mfslam.output import read_map, read_tum
-from mfslam.types import Scan
+from mfslam.types import FloatArray, IntArray, Scan
 
 REPEATED = ("map.pgm", "map.png", "map.yaml", "trajectory.tum", "keyframes.tum", "graph.g2o", "points.ply")
 
@@ -91,12 +91,16 @@ def building_run(building: Path) -> Path:
     return building.parent / "carmen"
 
 
-def test_a_recorded_building_fits_its_ground_truth(shared_data: Path, building_run: Path) -> None:
-    stamps_ns, poses = read_tum(building_run / "trajectory.tum")
+def assert_right(shared_data: Path, stamps_ns: IntArray, poses: FloatArray) -> None:
     relations = read_relations(shared_data / "freiburg" / "fr079.relations")
     error = relations_error(stamps_ns, poses, relations)
     assert error.matched > 300
-    assert error.translation_m.mean < 0.05 and error.rotation_deg.mean < 0.6
+    assert error.translation_m.mean < 0.04 and error.rotation_deg.mean < 0.5
+
+
+def test_a_recorded_building_fits_its_ground_truth(shared_data: Path, building_run: Path) -> None:
+    stamps_ns, poses = read_tum(building_run / "trajectory.tum")
+    assert_right(shared_data, stamps_ns, poses)
     grid = read_map(building_run / "map.yaml")
     assert {int(v) for v in np.unique(grid.occupancy)} == {-1, 0, 100}
 
@@ -115,9 +119,11 @@ def test_every_bag_format_gives_the_same_trajectory(
         runs.append(tmp_path / f"{name}-run")
     for run in runs[1:]:
         assert largest_difference(runs[0], run) < (0.001, 0.001)
-    # a bag is stamped at the first ray, and does not name its laser: near the CARMEN log's, not the same
-    metres, radians = largest_difference(building_run, runs[0])
-    assert metres < 0.15 and radians < 0.03
+    # a bag is stamped at the first ray and does not name its laser: as right as the CARMEN log, not the same
+    stamps_ns, _ = read_tum(building_run / "trajectory.tum")
+    _, poses = read_tum(runs[0] / "trajectory.tum")
+    assert_right(shared_data, stamps_ns, poses)
+    assert largest_difference(building_run, runs[0]) < (0.6, 0.1)
 
 
 def test_each_beam_from_its_own_pose_gives_a_crisper_map(shared_data: Path, tmp_path: Path) -> None:
