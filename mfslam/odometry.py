@@ -35,7 +35,7 @@ class OdometryTrack:
                 self.has_moved = bool(np.max(np.abs(odom_T_body - self.odom_T_body[0])) > 1e-3)
             # stamps in bursts are no proof of speed: at least twice the usual time between two readings
             usual_s = (time_s - self.times_s[0]) / len(self.times_s)
-            span_s = max(time_s - self.times_s[-1], 2.0 * usual_s, 1e-3)
+            span_s = max(time_s - self.times_s[-1], 2.0 * usual_s, 0.05)
             if not is_plausible(poses.between(self.odom_T_body[-1], odom_T_body) / span_s, self._config):
                 self._breaks.append((self.times_s[-1], time_s))
         self.times_s.append(time_s)
