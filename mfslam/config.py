@@ -322,7 +322,7 @@ def preset_path(name: str) -> Path:
     if Path(name).is_file():
         return Path(name)
     near = difflib.get_close_matches(name, preset_names(), n=1)
-    hint = f"; did you mean {near[0]}?" if near else ""
+    hint = f"; did you mean {near[0]}?" if near else "."
     raise MfslamError(f"no preset and no file {name!r}{hint} Presets: {', '.join(preset_names())}")
 
 
