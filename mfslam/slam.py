@@ -39,6 +39,7 @@ WEAK_SIGMA_M = 0.1  # a match less sure than this along some direction is weak
 # of a step that neither scan nor wheels tell (1 m, 1 rad): without it the chain of poses would break there
 HARDLY_ANYTHING = np.eye(3)
 INERTIA = 25.0 * np.eye(3)  # what holds a robot without wheels where its scans leave a direction open
+STARTED_M, STARTED_RAD = 0.5, 0.3  # wheels that still show nothing by then are not connected
 LAG_S = 0.5  # odometry older than this says nothing of a scan
 
 
@@ -183,7 +184,7 @@ class Slam:
     def _odometry_at(self, scan: Scan, reference_s: float) -> FloatArray | None:
         """Wheels' pose at the scan's reference instant; None where they say nothing (yet)."""
         track = self._odometry
-        if not track.has_moved:
+        if not track.has_moved and (len(track) == 0 or self._has_left_start()):
             return None  # no wheels, or none that turn: a pose that never changes is no measurement
         if scan.odom_T_body is not None:
             offset_s = reference_offset_s(scan.laser)
@@ -205,6 +206,11 @@ class Slam:
         # the wheels have not told this instant yet: they turn on as they did, and do not stand still
         twist = track.twist_over(track.times_s[-1], track.times_s[-1], self.config.odometry)
         return se2.compose(track.odom_T_body[-1], se2.exp(twist * since_s))
+
+    def _has_left_start(self) -> bool:
+        """Whether the scans tell of a robot that drives, whatever its wheels say."""
+        x, y, theta = self._frontend.local_T_body
+        return math.hypot(x, y) > STARTED_M or abs(theta) > STARTED_RAD
 
     # --- keyframes ----------------------------------------------------------------------------------
 
