@@ -147,17 +147,15 @@ def test_a_reader_that_goes_away_is_no_error(command: str, log: Path) -> None:
 # --- Ctrl-C ------------------------------------------------------------------------------------------
 
 
-def interrupt(command: list[str], words: list[str], after_s: float = 0.0) -> tuple[int, str]:
-    """Run a command and send SIGINT, a while ``after_s`` a line holds the next of ``words``."""
+def interrupt(command: list[str], word: str) -> tuple[int, str]:
+    """Run a command and send SIGINT once a line of it holds ``word``; its status and what it said."""
     child = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     assert child.stderr is not None
     said = ""
     for line in child.stderr:
-        said += line
-        if words and words[0] in line:
-            words = words[1:]
-            time.sleep(after_s)
+        if word in line and word not in said:
             child.send_signal(signal.SIGINT)
+        said += line
     return child.wait(), said
 
 
@@ -169,19 +167,36 @@ def long_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+AT_SCAN_200 = """
+import os, signal, sys
+from mfslam.cli import main
+from mfslam.slam import Slam
+
+feed = Slam.feed
+def feed_until(self, message):
+    feed(self, message)
+    if len(self.scans) == 200:
+        os.kill(os.getpid(), signal.SIGINT)
+Slam.feed = feed_until
+sys.exit(main(sys.argv[1:]))
+"""
+
+
 def test_ctrl_c_while_reading_leaves_the_map_so_far(long_log: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    status, said = interrupt([*MFSLAM, "map", str(long_log), "-o", str(out)], ["mapping long.mcap"], 0.4)
-    assert status == 130, said
+    command = [sys.executable, "-c", AT_SCAN_200, "map", str(long_log), "-o", str(out)]
+    child = subprocess.run(command, capture_output=True, text=True)
+    assert child.returncode == 130, child.stderr
     assert {path.name for path in out.iterdir()} == RUN_FILES
     summary = json.loads((out / "summary.json").read_text())
-    assert summary["interrupted"] and summary["counts"]["scans"] < len(drive().scans)
+    assert summary["interrupted"] and summary["counts"]["scans"] == 201  # the last one read is placed, too
+    assert "note: interrupted after" in child.stderr
     assert "interrupted" in [finding["code"] for finding in summary["findings"]]
 
 
 def test_ctrl_c_while_refining_writes_the_map_as_it_is(long_log: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    status, said = interrupt([*MFSLAM, "map", str(long_log), "-o", str(out)], ["matching again"])
+    status, said = interrupt([*MFSLAM, "map", str(long_log), "-o", str(out)], "matching again")
     assert status == 130, said
     assert {path.name for path in out.iterdir()} == RUN_FILES
     summary = json.loads((out / "summary.json").read_text())
@@ -191,7 +206,7 @@ def test_ctrl_c_while_refining_writes_the_map_as_it_is(long_log: Path, tmp_path:
 
 def test_ctrl_c_before_the_first_scan_leaves_nothing(long_log: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    status, said = interrupt([*MFSLAM, "map", str(long_log), "-o", str(out)], ["mapping long.mcap"])
+    status, said = interrupt([*MFSLAM, "map", str(long_log), "-o", str(out)], "mapping long.mcap")
     assert status == 130
     assert said.endswith("mfslam: interrupted: nothing was written\n") and "Traceback" not in said
     assert not out.exists()
