@@ -120,7 +120,9 @@ class ImuConfig(_Stage):
     use_compass: bool = Field(
         False, description="Use absolute headings (compass or fused). Off: steel indoors bends them."
     )
-    gyro_sigma_rad_per_sqrt_s: float = Field(0.005, gt=0, description="Noise of the integrated yaw, rad per root s.")
+    gyro_sigma_rad_per_sqrt_s: float = Field(
+        0.005, gt=0, description="Noise of the integrated yaw, rad per root s."
+    )
     bias_sigma_rad_s: float = Field(0.003, gt=0, description="What stays unknown of the gyro's bias, rad/s.")
     compass_sigma_deg: float = Field(10.0, gt=0, description="One-sigma error of an absolute heading, deg.")
 
@@ -188,31 +190,49 @@ class LoopsConfig(_Stage):
 
     use: bool = Field(True, description="Close loops.")
     every_m: float = Field(1.0, gt=0, description="A search at least every so far driven, m.")
-    min_travel_m: float = Field(8.0, gt=0, description="Places left less than this ago are no loop, m driven.")
+    min_travel_m: float = Field(
+        8.0, gt=0, description="Places left less than this ago are no loop, m driven."
+    )
     segment_m: float = Field(6.0, gt=0, description="Path whose scans are merged into one place, m.")
     reach_m: float = Field(8.0, gt=0, description="Two places may overlap when this near, m.")
-    window_sigmas: float = Field(3.0, gt=0, description="Half window of the search, in sigmas of the prediction.")
+    window_sigmas: float = Field(
+        3.0, gt=0, description="Half window of the search, in sigmas of the prediction."
+    )
     min_window_m: float = Field(0.5, gt=0, description="Half window at least, m.")
     max_places: int = Field(40, ge=1, description="Places tried in one search.")
-    max_near_places: int = Field(3, ge=1, description="Places tried in one search while the position is sure.")
-    min_score: float = Field(0.35, gt=0, lt=1, description="Correlative score below which there is no candidate.")
+    max_near_places: int = Field(
+        3, ge=1, description="Places tried in one search while the position is sure."
+    )
+    min_score: float = Field(
+        0.35, gt=0, lt=1, description="Correlative score below which there is no candidate."
+    )
     min_inlier_ratio: float = Field(
         0.4, gt=0, lt=1, description="Share of the commonly seen points that must fit closely."
     )
     min_agreement: float = Field(
-        0.85, gt=0, lt=1, description="Share of commonly seen points that must not lie in the other's free space."
+        0.85,
+        gt=0,
+        lt=1,
+        description="Share of commonly seen points that must not lie in the other's free space.",
     )
     max_sigma_m: float = Field(
         0.1, gt=0, description="A loop that leaves a direction open beyond this is no loop, m (one sigma)."
     )
-    min_coverage: float = Field(0.4, gt=0, lt=1, description="Share of a place that the other must have seen.")
+    min_coverage: float = Field(
+        0.4, gt=0, lt=1, description="Share of a place that the other must have seen."
+    )
     ambiguous_score: float = Field(
-        0.9, gt=0, le=1, description="A runner-up elsewhere with this share of the best score makes it ambiguous."
+        0.9,
+        gt=0,
+        le=1,
+        description="A runner-up elsewhere with this share of the best score makes it ambiguous.",
     )
     wide_window_m: float = Field(1.5, gt=0, description="In wider windows several loops must agree, m.")
     wide_inlier_ratio: float = Field(0.5, gt=0, lt=1, description="min_inlier_ratio in wide windows.")
     wide_agreement: float = Field(0.9, gt=0, lt=1, description="min_agreement in wide windows.")
-    wide_every_m: float = Field(2.0, gt=0, description="A search in wide windows at most every so far driven, m.")
+    wide_every_m: float = Field(
+        2.0, gt=0, description="A search in wide windows at most every so far driven, m."
+    )
     sigma_floor_m: float = Field(
         0.02, ge=0, description="Systematic error of a loop, m: the places it joins are bent a little."
     )
@@ -242,7 +262,9 @@ class RefineConfig(_Stage):
 
     passes: int = Field(2, ge=0, description="Rounds of deskewing, matching and solving again.")
     successive: int = Field(3, ge=1, description="Previous keyframes that each one is matched with.")
-    others: int = Field(5, ge=0, description="Keyframes of other passes by the same spot that each one is matched with.")
+    others: int = Field(
+        5, ge=0, description="Keyframes of other passes by the same spot that each one is matched with."
+    )
     radius_m: float = Field(3.0, gt=0, description="How near those must be, m.")
     search_radius_m: float = Field(0.25, gt=0, description="Partners are sought this far at the start, m.")
     localise: bool = Field(

@@ -46,7 +46,9 @@ def deskew(scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: 
         points, beams, laser.body_T_laser, _beam_step_rad(laser), laser.range_sigma_m
     )
     if spacing_m > 0.0:
-        keep = kernels.thin_points(points, normals, spacing_m)
+        keep = kernels.thin_points(
+            points, normals, beams, laser.body_T_laser, _beam_step_rad(laser), spacing_m
+        )
         points, normals, beams = points[keep], normals[keep], beams[keep]
     reference_ns = scan.stamp_ns + round(reference_offset_s(laser) * 1e9)
     return DeskewedScan(reference_ns, points, normals, beams)

@@ -59,19 +59,20 @@ def estimate_normals(
     """
     m = points.shape[0]
     normals = np.zeros((m, 2))
-    reach = 8
+    reach = 16  # beams to either side at most
     for k in range(m):
         px, py = points[k, 0], points[k, 1]
         dx, dy = px - origin[0], py - origin[1]
         dist = math.sqrt(dx * dx + dy * dy)
-        radius = min(2.0, max(0.15, 4.0 * dist * beam_step))
+        # wide enough that noise does not turn the line, and that sparse beams find neighbours
+        radius = min(2.0, max(0.15, 8.0 * sigma, 4.0 * dist * beam_step))
         r2 = radius * radius
         cnt = 1
         sx = sy = sxx = sxy = syy = 0.0
         for side in (-1, 1):
             for step in range(1, reach + 1):
                 q = k + side * step
-                if q < 0 or q >= m or abs(beams[q] - beams[k]) > reach + 2:
+                if q < 0 or q >= m or abs(beams[q] - beams[k]) > step + 2:
                     break
                 ex, ey = points[q, 0] - px, points[q, 1] - py
                 if ex * ex + ey * ey > r2:
@@ -101,20 +102,30 @@ def estimate_normals(
 
 
 @njit(cache=True, nogil=True)
-def thin_points(points: FloatArray, normals: FloatArray, spacing: float) -> BoolArray:
-    """Which points to keep so that neighbours in beam order stand at least ``spacing`` apart (oriented
-    ones first served)."""
+def thin_points(
+    points: FloatArray,
+    normals: FloatArray,
+    beams: IntArray,
+    origin: FloatArray,
+    beam_step: float,
+    spacing: float,
+) -> BoolArray:
+    """Which points to keep so that beams stand about ``spacing`` apart where they hit; one with a normal
+    is waited for a little.
+
+    Counted by the angle between beams and their range, not by the distance between points: choosing the
+    first point that is far enough from the last would favour those that noise has pushed along the sweep,
+    and so turn every scan a little in the same sense.
+    """
     m = points.shape[0]
     keep = np.zeros(m, np.bool_)
-    lx = ly = 1e18
-    s2 = spacing * spacing
+    swept = spacing
     for k in range(m):
-        dx, dy = points[k, 0] - lx, points[k, 1] - ly
-        if dx * dx + dy * dy >= s2:
-            if normals[k, 0] == 0.0 and normals[k, 1] == 0.0 and k + 1 < m:
-                ex, ey = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
-                if ex * ex + ey * ey < s2 and (normals[k + 1, 0] != 0.0 or normals[k + 1, 1] != 0.0):
-                    continue
+        if k > 0:
+            dx, dy = points[k, 0] - origin[0], points[k, 1] - origin[1]
+            swept += math.sqrt(dx * dx + dy * dy) * beam_step * (beams[k] - beams[k - 1])
+        oriented = normals[k, 0] != 0.0 or normals[k, 1] != 0.0
+        if swept >= spacing and (oriented or swept >= 1.5 * spacing):
             keep[k] = True
-            lx, ly = points[k, 0], points[k, 1]
+            swept = min(swept - spacing, spacing)
     return keep

@@ -100,14 +100,41 @@ def test_lone_points_and_clutter_have_no_normal():
 
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.integers(0, 10_000), st.floats(0.02, 0.5))
-def test_thinned_neighbours_stand_apart_and_none_is_lost_from_sight(seed, spacing):
-    steps = np.random.default_rng(seed).uniform(0.0, 0.3, 80)
-    points = np.stack([np.cumsum(steps), np.zeros(80)], axis=-1)
-    normals = np.tile([0.0, 1.0], (80, 1))
-    keep = scans.thin_points(points, normals, spacing)
-    kept = points[keep, 0]
+def test_thinned_beams_stand_apart_by_the_spacing(seed, spacing):
+    step, range_m = 0.01, 3.0
+    beams = np.flatnonzero(np.random.default_rng(seed).random(200) < 0.8)
+    angles = beams * step
+    points = range_m * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    normals = -points / range_m
+    keep = scans.thin_points(points, normals, beams, np.zeros(3), step, spacing)
     assert keep[0]
-    assert np.all(np.diff(kept) >= spacing * (1.0 - 1e-9))
-    left_out = points[~keep, 0]
-    before = kept[np.searchsorted(kept, left_out, side="right") - 1]
-    assert np.all(left_out - before < spacing)
+    arcs = np.diff(beams[keep]) * step * range_m
+    # each beam that is due is taken at once: one gap between sensed beams late at most
+    assert arcs.mean() <= max(spacing, step * range_m) + range_m * step * np.diff(beams).max()
+    assert (
+        abs(keep.sum() * max(spacing, step * range_m) - np.ptp(angles) * range_m)
+        < 0.35 * np.ptp(angles) * range_m
+    )
+
+
+def test_thinning_does_not_prefer_points_that_noise_pushed_along_the_sweep():
+    """The mean displacement along the wall of the kept points is that of all points: none."""
+    rng = np.random.default_rng(5)
+    angles = np.arange(-400, 400) * 0.003
+    along = []
+    for _ in range(200):
+        ranges = 1.0 / np.cos(angles) + rng.normal(0.0, 0.02, angles.size)
+        points = ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        normals = np.tile([-1.0, 0.0], (angles.size, 1))
+        keep = scans.thin_points(points, normals, np.arange(angles.size), np.zeros(3), 0.003, 0.05)
+        along.append(np.mean((points[:, 1] - np.tan(angles))[keep]))
+    assert abs(np.mean(along)) < 4.0 * np.std(along) / np.sqrt(len(along))
+
+
+def test_a_beam_with_a_normal_is_waited_for():
+    beams = np.arange(60)
+    points = np.stack([np.ones(60), beams * 0.01], axis=-1)
+    normals = np.zeros((60, 2))
+    normals[7::10] = [-1.0, 0.0]
+    keep = scans.thin_points(points, normals, beams, np.zeros(3), 0.01, 0.06)
+    assert keep[7::10].sum() >= 3
