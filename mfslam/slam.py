@@ -19,7 +19,7 @@ from mfslam.heading import HeadingTrack
 from mfslam.kernels import poses
 from mfslam.kinematics import WheelIntegrator
 from mfslam.loops import LoopCloser
-from mfslam.odometry import OdometryTrack, factor_information, is_jump, step_sigmas
+from mfslam.odometry import OdometryTrack, factor_information, is_jump
 from mfslam.types import (
     Edge,
     Findings,
@@ -297,10 +297,10 @@ class Slam:
         weak_m = 0.0
         count = 0
         for edge in edges:
-            if edge.kind == "scan" and edge.j == edge.i + 1:
-                if np.linalg.eigvalsh(edge.information[:2, :2])[0] < WEAK_SIGMA_M**-2:
-                    count += 1
-                    weak_m += math.hypot(edge.i_T_j[0], edge.i_T_j[1])
+            successive = edge.kind == "scan" and edge.j == edge.i + 1
+            if successive and np.linalg.eigvalsh(edge.information[:2, :2])[0] < WEAK_SIGMA_M**-2:
+                count += 1
+                weak_m += math.hypot(edge.i_T_j[0], edge.i_T_j[1])
         return {"steps": count, "travelled_m": weak_m, "sigma_above_m": WEAK_SIGMA_M}
 
     def _refine(self, edges: list[Edge]) -> list[Edge]:
