@@ -138,6 +138,13 @@ class PoseGraph:
             dataclasses.replace(e, weight=self._kernel_weight(e)) if e.weight >= 0.5 else e for e in edges
         ]
 
+    def release(self) -> None:
+        """Drop the incremental solution and the edges; the poses stay."""
+        self._isam = self._new_isam()
+        self.edges, self._factor_slots = [], {}
+        self._pending_edges, self._pending_factors = [], gtsam.NonlinearFactorGraph()
+        self._pending_values = gtsam.Values()
+
     # --- inside ---------------------------------------------------------------------------------------
 
     def _new_isam(self) -> gtsam.ISAM2:

@@ -80,6 +80,11 @@ class LoopCloser:
         a, b = self.keyframes[-2].local_T_body, self.keyframes[-1].local_T_body
         self.travel_m.append(self.travel_m[-1] + math.hypot(b[0] - a[0], b[1] - a[1]))
 
+    def release(self) -> None:
+        """Drop the places; the statistics stay."""
+        self._memory = PlaceMemory(self.keyframes)
+        self._waiting = []
+
     def due(self) -> bool:
         return self.config.use and self.travel_m[-1] - self._last_search_m >= self.config.every_m
 

@@ -250,8 +250,12 @@ def crispness(points_m: FloatArray, resolution_m: float = 0.02) -> Crispness:
     """Crispness of points (P, 2) over cells of ``resolution_m``; entropy is -sum p log p over cells hit."""
     if len(points_m) == 0:
         return Crispness(0, 0.0)
-    cells = np.floor(np.asarray(points_m) / resolution_m).astype(np.int64)
-    cells -= cells.min(axis=0)
-    keys = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
-    share = np.unique(keys, return_counts=True)[1] / len(keys)
+    low, high = np.floor(points_m.min(axis=0) / resolution_m), np.floor(points_m.max(axis=0) / resolution_m)
+    # one column after the other, sorted in place: clouds are large
+    keys = (np.floor(points_m[:, 0] / resolution_m) - low[0]).astype(np.int64)
+    keys *= int(high[1] - low[1]) + 1
+    keys += (np.floor(points_m[:, 1] / resolution_m) - low[1]).astype(np.int64)
+    keys.sort()
+    starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
+    share = np.diff(starts, append=len(keys)) / len(keys)
     return Crispness(len(share), float(-np.sum(share * np.log(share))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,6 +16,7 @@ from mfslam.kernels import poses
 from mfslam.kernels.cells import CellTable
 from mfslam.types import DeskewedScan, Edge, FloatArray, IntArray, Scan
 
+MAX_TABLES = 500
 LOCALISE_SIGMAS = np.array(
     [0.05, 0.05, 0.02]
 )  # how well a scan between keyframes is known before (m, m, rad)
@@ -60,11 +62,14 @@ def match_neighbours(
     config: RefineConfig,
 ) -> list[Edge]:
     """Pairwise edges of overlapping scans, each from the current estimate and close to it."""
-    tables: dict[int, CellTable] = {}
+    tables: OrderedDict[int, CellTable] = OrderedDict()  # of the latest references: pairs come in order
     edges: list[Edge] = []
     for i, j in pairs:
         if i not in tables:
             tables[i] = icp.reference_table(np.hstack([clouds[i].points_m, clouds[i].normals]))
+            if len(tables) > MAX_TABLES:
+                tables.popitem(last=False)
+        tables.move_to_end(i)
         guess = poses.between(world_T_body[i], world_T_body[j])
         match = icp.register(
             tables[i], clouds[j].points_m, clouds[j].normals, guess, range_sigma_m, icp_config,

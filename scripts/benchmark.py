@@ -36,6 +36,7 @@ VARIANTS = {
     "deskew off": ["deskew.mode=none"],
     "beams reversed": ["sensor.reversed_beams=true"],
 }
+NO_LOG = "no log that mfslam reads"
 BEGIN, END = "<!-- benchmark: begin -->", "<!-- benchmark: end -->"
 
 
@@ -122,7 +123,11 @@ def run_all(logs: list[Path], settings: list[str]) -> list[Outcome]:
             for variant, extra in variants.items():
                 say(f"{log_name(path)}, {variant}")
                 out = Path(scratch) / str(len(outcomes))
-                outcomes.append(run_map(path, variant, [*settings, *extra], out))
+                outcome = run_map(path, variant, [*settings, *extra], out)
+                if NO_LOG in (outcome.failure or ""):  # a table of something else under such a name
+                    print(f"benchmark: {path.name} is no log", file=sys.stderr)
+                    break
+                outcomes.append(outcome)
                 if outcomes[-1].failure and not scored:
                     break  # the other variants would fail alike
     return outcomes

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import ctypes
+import gc
 import sys
 import time
 from dataclasses import dataclass
@@ -59,9 +62,11 @@ def map_log(
     findings = Findings()
     read_log(log, slam, progress, interrupts, findings)
     solution = finish(slam, progress, interrupts, findings)
+    slam.release()
+    give_memory_back()
     progress.tell("drawing the map ...")
     with slam.clock.time("map"):
-        grid, points = render_map(slam.scans, solution.world_T_reference, solution.twists, config)
+        grid, points = render_map(slam.scans, solution.world_T_reference, solution.twists, config, findings)
     if not len(points.points_m):
         raise MfslamError(
             f"{log.info.path}: none of its {len(slam.scans)} scans has a usable range: nothing to map"
@@ -96,6 +101,13 @@ def read_log(log: Log, slam: Slam, progress: Progress, interrupts: Interrupts, f
         raise KeyboardInterrupt  # nothing to keep
     findings.add("interrupted", f"interrupted after {log.progress():.0%} of the log: only that was mapped")
     progress.tell("interrupted: mapping what was read so far (Ctrl-C again: without refining it)")
+
+
+def give_memory_back() -> None:
+    """Hand what was freed back to the system before the large grids are made: glibc keeps it otherwise."""
+    gc.collect()
+    with contextlib.suppress(OSError, AttributeError):  # another C library keeps what it keeps
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 def finish(slam: Slam, progress: Progress, interrupts: Interrupts, findings: Findings) -> Solution:

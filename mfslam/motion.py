@@ -1,0 +1,166 @@
+"""What wheels, gyro and compass tell: the motion before a scan is matched, and edges between keyframes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from mfslam import se2
+from mfslam.config import Config
+from mfslam.deskew import reference_offset_s
+from mfslam.frontend import PredictedMotion
+from mfslam.heading import HeadingTrack
+from mfslam.kernels import poses
+from mfslam.kinematics import WheelIntegrator
+from mfslam.odometry import OdometryTrack, factor_information, is_jump
+from mfslam.types import (
+    Edge,
+    Findings,
+    FloatArray,
+    Imu,
+    Message,
+    Odometry,
+    Scan,
+    WheelAngles,
+    WheelTicks,
+)
+
+STARTED_M, STARTED_RAD = 0.5, 0.3  # wheels that still show nothing by then are not connected
+LAG_S = 0.5  # odometry older than this says nothing of a scan
+
+
+class MotionSources:
+    """Every source of motion but the scans themselves, on one clock.
+
+    ``times_s``: reference instant of every scan, held where stamps go backwards. ``jumps``: scans whose
+    wheel motion was found wrong, here or by the scans.
+    """
+
+    def __init__(self, config: Config, findings: Findings) -> None:
+        self.config = config
+        self.findings = findings
+        self.odometry = OdometryTrack(config.odometry)
+        self.heading = HeadingTrack(config.imu)
+        self.times_s: list[float] = []
+        self.jumps: list[int] = []
+        self._wheels = WheelIntegrator(config.wheels, findings)
+        self._odom_T_body: list[FloatArray | None] = []  # at every scan
+        self._epoch_ns: int | None = None
+
+    def add(self, message: Message) -> None:
+        """Take note of a message of any kind."""
+        if self._epoch_ns is None:
+            self._epoch_ns = message.stamp_ns
+        time_s = self._seconds(message.stamp_ns)
+        if isinstance(message, Scan):
+            if message.odom_T_body is not None:
+                self.odometry.add(time_s, message.odom_T_body)
+        elif isinstance(message, Odometry):
+            self.odometry.add(time_s, message.odom_T_body)
+        elif isinstance(message, WheelTicks):
+            self.odometry.add(time_s, self._wheels.add_ticks(message).odom_T_body)
+        elif isinstance(message, WheelAngles):
+            self.odometry.add(time_s, self._wheels.add_angles(message).odom_T_body)
+        elif isinstance(message, Imu):
+            self.heading.add(time_s, message)
+
+    def predict(self, scan: Scan, local_T_body: FloatArray, last_step: FloatArray) -> PredictedMotion:
+        """Motion since the previous scan and through this one, where wheels and gyro tell.
+
+        ``local_T_body`` (3,), ``last_step`` (3,): where the front end stands, and how it got there.
+        """
+        laser, config = scan.laser, self.config
+        stamp_s = self._seconds(scan.stamp_ns)
+        reference_s = stamp_s + reference_offset_s(laser)
+        start_s, end_s = stamp_s + float(laser.offsets_s.min()), stamp_s + float(laser.offsets_s.max())
+        time_s = max(reference_s, self.times_s[-1]) if self.times_s else reference_s
+        dt_s = time_s - self.times_s[-1] if self.times_s else 0.0
+        odom = self._odometry_at(scan, reference_s, local_T_body) if config.odometry.use else None
+        previous = self._odom_T_body[-1] if self._odom_T_body else None
+        turn_rad = self.heading.turn(self.times_s[-1], time_s) if self.times_s else None
+        self.times_s.append(time_s)
+        self._odom_T_body.append(odom)
+        step = None
+        if odom is not None and previous is not None:
+            step = poses.between(previous, odom)
+            if is_jump(step, dt_s, config.odometry) or self.odometry.is_broken(time_s - dt_s, time_s):
+                self.findings.add(
+                    "odometry-jump",
+                    "the wheels' pose jumps farther than a robot drives: that step was left to the scans",
+                    f"{scan.stamp_ns * 1e-9:.6f} s",
+                )
+                self.jumps.append(len(self.times_s) - 1)
+                step = None
+        if step is not None:
+            twist = self.odometry.twist_over(start_s, end_s, config.odometry)
+        elif dt_s > 0.0:
+            twist = poses.log(last_step) / max(dt_s, 0.02)
+        else:
+            twist = np.zeros(3)
+        if turn_rad is not None and dt_s > 0.0:
+            twist = np.array([twist[0], twist[1], turn_rad / dt_s])
+        return PredictedMotion(twist, dt_s, step, turn_rad)
+
+    def has_wheels(self, a: int, b: int) -> bool:
+        """Whether the wheels told where both scans stand."""
+        return self._odom_T_body[a] is not None and self._odom_T_body[b] is not None
+
+    def edges(self, i: int, j: int, a: int, b: int, matched_turn_rad: float) -> Iterator[Edge]:
+        """Wheel and heading edges from keyframe ``i`` (scan ``a``) to ``j`` (scan ``b``)."""
+        odom_a, odom_b = self._odom_T_body[a], self._odom_T_body[b]
+        t0, t1 = self.times_s[a], self.times_s[b]
+        if odom_a is not None and odom_b is not None:
+            wheels = poses.between(odom_a, odom_b)
+            jumped = bool(self.jumps) and self.jumps[-1] > a
+            # a step that nothing can drive stays out: at 1e9 m the least information still pulls
+            if not (jumped and is_jump(wheels, t1 - t0, self.config.odometry)):
+                yield Edge("odometry", i, j, wheels, factor_information(wheels, jumped, self.config.odometry))
+        turn_rad = self.heading.turn(t0, t1)
+        if turn_rad is not None:
+            yield _heading_edge(i, j, turn_rad, self.heading.turn_sigma(t1 - t0))
+            self.heading.learn_bias(t1 - t0, turn_rad, matched_turn_rad)
+        compass = self.heading.compass(t1)
+        if compass is not None:
+            yield _heading_edge(j, j, *compass)
+
+    def _seconds(self, stamp_ns: int) -> float:
+        assert self._epoch_ns is not None
+        return (stamp_ns - self._epoch_ns) * 1e-9
+
+    def _odometry_at(self, scan: Scan, reference_s: float, local_T_body: FloatArray) -> FloatArray | None:
+        """Wheels' pose at the scan's reference instant; None where they say nothing (yet)."""
+        track = self.odometry
+        if not track.has_moved and (len(track) == 0 or _has_left_start(local_T_body)):
+            return None  # no wheels, or none that turn: a pose that never changes is no measurement
+        if scan.odom_T_body is not None:
+            offset_s = reference_offset_s(scan.laser)
+            if offset_s == 0.0:
+                return scan.odom_T_body
+            stamp_s = self._seconds(scan.stamp_ns)
+            twist = track.twist_over(stamp_s, stamp_s, self.config.odometry)
+            return se2.compose(scan.odom_T_body, se2.exp(twist * offset_s))
+        if not track.times_s[0] - LAG_S <= reference_s <= track.times_s[-1] + LAG_S:
+            self.findings.add(
+                "odometry-gap",
+                "no odometry around a scan: it was placed without wheels",
+                f"{scan.stamp_ns * 1e-9:.6f} s",
+            )
+            return None
+        since_s = reference_s - track.times_s[-1]
+        if since_s <= 0.0:
+            return track.pose_at(reference_s)
+        # the wheels have not told this instant yet: they turn on as they did, and do not stand still
+        twist = track.twist_over(track.times_s[-1], track.times_s[-1], self.config.odometry)
+        return se2.compose(track.odom_T_body[-1], se2.exp(twist * since_s))
+
+
+def _has_left_start(local_T_body: FloatArray) -> bool:
+    """Whether the scans tell of a robot that drives, whatever its wheels say."""
+    x, y, theta = local_T_body
+    return math.hypot(x, y) > STARTED_M or abs(theta) > STARTED_RAD
+
+
+def _heading_edge(i: int, j: int, turn_rad: float, sigma_rad: float) -> Edge:
+    return Edge("heading", i, j, np.array([0.0, 0.0, turn_rad]), np.diag([0.0, 0.0, sigma_rad**-2]))
