@@ -49,7 +49,7 @@ def register(
     else:
         outcome = align.point_to_line(
             reference, CELL_M, points_m, normals, guess, held, held_information, sigma,
-            config.kernel_sigmas, radius_m, config.final_radius_m, config.max_iterations,
+            config.kernel_sigmas, radius_m, config.final_radius_m, config.max_iterations, config.open_share,
         )  # fmt: skip
     pose, hessian, inlier_ratio, rms_m, iterations, converged = outcome
     # residuals above the model's sigma (quantisation, rough walls) take information away
@@ -77,7 +77,7 @@ def _closed_form(
     # one evaluation of the point-to-line residuals; its step is not taken
     _, hessian, inlier_ratio, rms_m, _, _ = align.point_to_line(
         reference, CELL_M, points_m, normals, pose, pose, NO_PRIOR, sigma,
-        config.kernel_sigmas, config.final_radius_m, config.final_radius_m, 1,
+        config.kernel_sigmas, config.final_radius_m, config.final_radius_m, 1, config.open_share,
     )  # fmt: skip
     return pose, hessian, inlier_ratio, rms_m, iterations, converged
 

@@ -104,7 +104,7 @@ def _project_hits(
     return PointCloud(points[:kept], stamps[:kept])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class CellCounts:
     """What the beams say of each cell (rows, cols): ``hits``; ``passes`` that went on well beyond it;
     ``nears``, passes that ended within the blur of a surface there."""
@@ -202,15 +202,17 @@ def _frame_of(bounds_m: FloatArray, resolution_m: float) -> tuple[FloatArray, tu
 def judge_cells(counts: CellCounts, sigma_m: float, config: MapConfig) -> Int8Array:
     """Occupancy (rows, cols) of the cells' counts: 100 occupied, 0 free, -1 unknown.
 
-    ``sigma_m``: spread of the hits across a wall, which is thinned to its ridge.
+    ``sigma_m``: spread of the hits across a wall, which is thinned to its ridge. ``counts`` is used up:
+    what is done with is dropped, since these grids are the largest of a run.
     """
     met = np.nonzero(counts.hits)
     hits, passes, nears = (c[met].astype(np.int64) for c in (counts.hits, counts.passes, counts.nears))
     occupied = np.zeros(counts.hits.shape, np.bool_)
     occupied[met] = (hits >= config.min_hits) & (hits >= config.occupied_share * (hits + passes))
-    _thin(occupied, counts.hits, sigma_m / config.resolution_m)
     free = counts.passes > 0
     free |= counts.nears > 0
+    counts.passes = counts.nears = counts.passes[:0].copy()
+    _thin(occupied, counts.hits, sigma_m / config.resolution_m)
     free[met] = passes + nears >= hits  # else the hits are noise, and the cell lies behind its wall
     free &= ~occupied
     _drop_crumbs(free, math.ceil(_MIN_FREE_M2 / config.resolution_m**2))

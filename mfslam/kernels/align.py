@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from mfslam.kernels.cells import CellTable, cell_key, find_slot
+from mfslam.kernels.matrices import drop_open_direction, open_direction
 from mfslam.kernels.poses import wrap_angle
 from mfslam.types import FloatArray
 
@@ -134,6 +135,7 @@ def point_to_line(
     radius_start: float,
     radius_end: float,
     max_iterations: int,
+    open_share: float = 0.0,
 ) -> tuple[FloatArray, FloatArray, float, float, int, bool]:
     """Robust point-to-line registration from ``guess``, with a Gaussian ``prior`` on the pose.
 
@@ -153,6 +155,7 @@ def point_to_line(
     converged = False
     iteration = 0
     radius = radius_start
+    held = prior_information[0, 0] > 0.0 and prior_information[1, 1] > 0.0
     while iteration < max_iterations:
         iteration += 1
         # the kernel opens with the search radius so that a far guess is not thrown away as outliers
@@ -161,6 +164,13 @@ def point_to_line(
             table, cell, points, normals, pose, sigma, scale, radius, h
         )
         rms = math.sqrt(sum_r2 / weight_sum) if weight_sum > 0.0 else 0.0
+        data = h
+        is_open, v0, v1 = open_direction(h, open_share)
+        if is_open and held:
+            # what noise feigns along an open direction must not pull against the prior
+            data = drop_open_direction(h, open_share)
+            along = v0 * b0 + v1 * b1
+            b0, b1 = b0 - along * v0, b1 - along * v1
         # error of the pose from the prior, small angles, in the frame of the pose
         c, s = math.cos(pose[2]), math.sin(pose[2])
         ex, ey = prior[0] - pose[0], prior[1] - pose[1]
@@ -168,7 +178,7 @@ def point_to_line(
         e2 = wrap_angle(prior[2] - pose[2])
         for u in range(3):
             for v in range(3):
-                a[u, v] = h[u, v] + prior_information[u, v]
+                a[u, v] = data[u, v] + prior_information[u, v]
         b0 += prior_information[0, 0] * e0 + prior_information[0, 1] * e1 + prior_information[0, 2] * e2
         b1 += prior_information[1, 0] * e0 + prior_information[1, 1] * e1 + prior_information[1, 2] * e2
         b2 += prior_information[2, 0] * e0 + prior_information[2, 1] * e1 + prior_information[2, 2] * e2

@@ -60,21 +60,28 @@ def upper_root(information: FloatArray, absolute_floor: float, relative_floor: f
 
 
 @njit(cache=True, nogil=True)
-def drop_open_direction(information: FloatArray, least_share: float) -> FloatArray:
-    """Information (3, 3) without what noise feigns along an open direction.
+def open_direction(information: FloatArray, least_share: float) -> tuple[bool, float, float]:
+    """Whether a direction of translation holds less than ``least_share`` of the information of the one
+    across it, and that direction (unit vector).
 
     Along a bare corridor the true information is none, but normals that are not quite exact feign some
-    tenths of a percent of that across it. A direction of translation with less than ``least_share`` of
-    the information of the one across is taken for open: nothing of it is left.
+    tenths of a percent of that across it.
     """
     a, b, d = information[0, 0], information[0, 1], information[1, 1]
     root = math.sqrt(0.25 * (a - d) * (a - d) + b * b)
     strong, weak = 0.5 * (a + d) + root, 0.5 * (a + d) - root
-    if weak >= least_share * strong:
-        return information.copy()
     # the weak eigenvector stands across the strong one
     angle = 0.5 * math.atan2(2.0 * b, a - d) + 0.5 * math.pi
-    v0, v1 = math.cos(angle), math.sin(angle)
+    return weak < least_share * strong, math.cos(angle), math.sin(angle)
+
+
+@njit(cache=True, nogil=True)
+def drop_open_direction(information: FloatArray, least_share: float) -> FloatArray:
+    """Information (3, 3) without what noise feigns along an open direction: nothing of it is left."""
+    is_open, v0, v1 = open_direction(information, least_share)
+    if not is_open:
+        return information.copy()
+    a, b, d = information[0, 0], information[0, 1], information[1, 1]
     p00, p01, p11 = 1.0 - v0 * v0, -v0 * v1, 1.0 - v1 * v1
     out = np.empty((3, 3))
     out[2, 2] = information[2, 2]

@@ -26,7 +26,9 @@ def grid_image(grid: OccupancyGrid) -> Uint8Array:
     """The grid as greys (rows, cols), top row first; what is neither clearly free nor occupied is unknown."""
     occupancy = grid.occupancy
     image = np.full(occupancy.shape, UNKNOWN_GREY, dtype=np.uint8)
-    image[(occupancy >= 0) & (occupancy <= 100 * FREE_THRESH)] = FREE_GREY
+    known = occupancy >= 0
+    known &= occupancy <= 100 * FREE_THRESH
+    image[known] = FREE_GREY
     image[occupancy >= 100 * OCCUPIED_THRESH] = OCCUPIED_GREY
     return image[::-1]
 
