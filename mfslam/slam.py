@@ -247,9 +247,8 @@ class Slam:
                 self.scans, twists, world_T_reference, self.keyframes, pairs, self.config
             )
             twists = self._twists(world_T_reference)
-        # a scan sensed before its stamp (transport delay) is carried on to it
         offsets = np.array([reference_offset_s(s.laser) for s in self.scans])
-        reference_T_stamp = se2.exp(-offsets[:, None] * twists)
+        reference_T_stamp = self._to_stamps(world_T_reference, twists, offsets)
         keyframes = np.array([k.scan_index for k in self.keyframes], dtype=np.int64)
         return Solution(
             stamps_ns=np.array([s.stamp_ns for s in self.scans], dtype=np.int64),
@@ -259,6 +258,19 @@ class Slam:
             keyframes=keyframes,
             edges=edges_at_stamps(edges, reference_T_stamp[keyframes]) if offsets.any() else edges,
         )
+
+    def _to_stamps(
+        self, world_T_reference: FloatArray, twists: FloatArray, offsets_s: FloatArray
+    ) -> FloatArray:
+        """(S, 3) motion from each scan's reference instant to its stamp: a scan sensed before its stamp
+        (transport delay) is carried on to it along the trajectory, beyond its end by the last twist."""
+        if not offsets_s.any():
+            return np.zeros_like(world_T_reference)
+        times = np.array(self._motion.times_s)
+        at_stamp = trajectory.poses_at(times, world_T_reference, times - offsets_s)
+        inside = (times - offsets_s >= times[0]) & (times - offsets_s <= times[-1])
+        along = se2.between(world_T_reference, at_stamp)
+        return np.where(inside[:, None], along, se2.exp(-offsets_s[:, None] * twists))
 
 
 def edges_at_stamps(edges: list[Edge], reference_T_stamp: FloatArray) -> list[Edge]:
