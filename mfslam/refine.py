@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 
@@ -28,7 +29,7 @@ def neighbours(world_T_body: FloatArray, config: RefineConfig) -> list[tuple[int
     from scipy.spatial import cKDTree
 
     tree = cKDTree(world_T_body[:, :2])
-    nearby: Sequence[list[int]] = tree.query_ball_point(world_T_body[:, :2], config.radius_m)  # type: ignore[assignment]
+    nearby = cast(Sequence[list[int]], tree.query_ball_point(world_T_body[:, :2], config.radius_m))
     pairs: list[tuple[int, int]] = []
     for j, near in enumerate(nearby):
         for i in range(max(0, j - config.successive), j):
