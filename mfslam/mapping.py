@@ -207,11 +207,12 @@ def judge_cells(counts: CellCounts, sigma_m: float, config: MapConfig) -> Int8Ar
     """
     met = np.nonzero(counts.hits)
     hits, passes, nears = (c[met].astype(np.int64) for c in (counts.hits, counts.passes, counts.nears))
-    occupied = np.zeros(counts.hits.shape, np.bool_)
-    occupied[met] = (hits >= config.min_hits) & (hits >= config.occupied_share * (hits + passes))
     free = counts.passes > 0
-    free |= counts.nears > 0
+    for top in range(0, len(free), _BAND_ROWS):
+        free[top : top + _BAND_ROWS] |= counts.nears[top : top + _BAND_ROWS] > 0
     counts.passes = counts.nears = counts.passes[:0].copy()
+    occupied = np.zeros(free.shape, np.bool_)
+    occupied[met] = (hits >= config.min_hits) & (hits >= config.occupied_share * (hits + passes))
     _thin(occupied, counts.hits, sigma_m / config.resolution_m)
     free[met] = passes + nears >= hits  # else the hits are noise, and the cell lies behind its wall
     free &= ~occupied

@@ -69,6 +69,7 @@ def _picture(grid: OccupancyGrid, world_T_body: FloatArray) -> tuple[str, FloatA
     """The known part of the grid as an image element, and the box around it and the path, y downwards."""
     known: BoolArray = grid.occupancy >= 0
     rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+    del known  # grids are large
     corners = [world_T_body[:, :2]] if len(world_T_body) else [np.zeros((1, 2))]
     image = ""
     if len(rows) and len(cols):

@@ -18,5 +18,5 @@ def write_ply(cloud: PointCloud, file: IO[bytes]) -> None:
     vertices = np.zeros(len(cloud.points_m), dtype=VERTEX)
     vertices["x"] = cloud.points_m[:, 0]
     vertices["y"] = cloud.points_m[:, 1]
-    vertices["time"] = cloud.stamps_ns * 1e-9
+    np.multiply(cloud.stamps_ns, 1e-9, out=vertices["time"])
     PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<").write(file)
