@@ -104,7 +104,7 @@ def read_log(log: Log, slam: Slam, progress: Progress, interrupts: Interrupts, f
 
 
 def give_memory_back() -> None:
-    """Hand what was freed back to the system before the large grids are made: glibc keeps it otherwise."""
+    """Hand what was freed back to the system before large grids and pictures are made: glibc keeps it."""
     gc.collect()
     with contextlib.suppress(OSError, AttributeError):  # another C library keeps what it keeps
         ctypes.CDLL("libc.so.6").malloc_trim(0)
@@ -153,6 +153,7 @@ def run_summary(log: Log, slam: Slam, solution: Solution, interrupted: bool, cpu
 
 def leave(outcome: Outcome, config: Config, folder: Path, json_file: Path | None) -> None:
     """Write the folder, and the summary where else it is wanted."""
+    give_memory_back()
     write_run(outcome.result, config, folder, outcome.summary)
     if json_file is not None:
         write_atomically(json_file, json_text(outcome.summary).encode())
