@@ -13,7 +13,7 @@ from mfslam.config import Config, describe
 from mfslam.output import g2o, maps, ply, report, tum
 from mfslam.output.staging import PART_SUFFIX, Staging, cannot_write, check_writable
 from mfslam.output.summary import json_text, summarise
-from mfslam.types import MfslamError, RunResult
+from mfslam.types import MfslamError, OccupancyGrid, RunResult
 
 RUN_MARKS = ("summary.json", "map.pgm")
 
@@ -70,31 +70,38 @@ def write_run(
     Map, trajectories, graph and points are the same bytes for the same result. Raises MfslamError.
     """
     _check(result)
-    keyframe_stamps_ns = result.stamps_ns[result.keyframes]
-    world_T_keyframe = result.world_T_body[result.keyframes]
-    image = maps.grid_image(result.grid)
     summary = summarise(result) if summary is None else summary
-    config_yaml = describe(config)
-    png = maps.png_bytes(image)
-    texts = {
-        "map.yaml": maps.yaml_text(result.grid),
-        "trajectory.tum": tum.trajectory_text(result.stamps_ns, result.world_T_body),
-        "keyframes.tum": tum.trajectory_text(keyframe_stamps_ns, world_T_keyframe),
-        "graph.g2o": g2o.graph_text(world_T_keyframe, result.edges),
-        "config.yaml": config_yaml,
-        "report.html": report.report_html(result, summary, config_yaml),
-        "summary.json": json_text(summary),
-    }
+    names = []
     with Staging(folder) as staging:
-        with staging.open("map.pgm") as file:
-            file.write(maps.pgm_bytes(image))
-        with staging.open("map.png") as file:
-            file.write(png)
+        # one after the other: pictures of large grids and long texts are never in memory together
+        for name, text in _texts(result, config, summary):
+            staging.write_text(name, text)
+            names.append(name)
+        _write_pictures(result.grid, staging)
         with staging.open("points.ply") as file:
             ply.write_ply(result.points, file)
-        for name, text in texts.items():
-            staging.write_text(name, text)
-    return [folder / name for name in ("map.pgm", "map.png", "points.ply", *texts)]
+    return [folder / name for name in (*names, "map.pgm", "map.png", "points.ply")]
+
+
+def _texts(result: RunResult, config: Config, summary: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Name and content of every text file."""
+    stamps_ns, poses = result.stamps_ns, result.world_T_body
+    config_yaml = describe(config)
+    yield "map.yaml", maps.yaml_text(result.grid)
+    yield "trajectory.tum", tum.trajectory_text(stamps_ns, poses)
+    yield "keyframes.tum", tum.trajectory_text(stamps_ns[result.keyframes], poses[result.keyframes])
+    yield "graph.g2o", g2o.graph_text(poses[result.keyframes], result.edges)
+    yield "config.yaml", config_yaml
+    yield "report.html", report.report_html(result, summary, config_yaml)
+    yield "summary.json", json_text(summary)
+
+
+def _write_pictures(grid: OccupancyGrid, staging: Staging) -> None:
+    image = maps.grid_image(grid)
+    with staging.open("map.pgm") as file:
+        file.write(maps.pgm_bytes(image))
+    with staging.open("map.png") as file:
+        file.write(maps.png_bytes(image))
 
 
 def _check(result: RunResult) -> None:
