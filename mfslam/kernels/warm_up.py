@@ -72,6 +72,7 @@ def _call_poses(points: FloatArray, normals: FloatArray) -> None:
     poses.advance(poses.interpolate(np.zeros(3), pose, 0.5), poses.log(pose), 0.1)
     poses.transform_points(pose, points, normals, np.empty((len(points), 4)))
     information = matrices.drop_open_direction(matrices.add_error(np.eye(3), 0.1, 0.1), 0.01)
+    matrices.open_direction(information, 0.01)
     matrices.upper_root(information, 1e-6, 1e-9)
 
 
