@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -16,12 +14,12 @@ from drivers.carmen_format import SCANS, WORDS, geometry, split_scan
 from drivers.carmen_survey import choose_source, mount_of, number, odometry_kind, survey
 from drivers.laser_models import clean_ranges, laser_from
 from drivers.stamp_watch import StampWatch
-from drivers.text_source import NumberCache, TextSource, stamp_ns
+from drivers.text_source import NumberCache, TextLog, TextSource, stamp_ns
 from mfslam.config import Config
 from mfslam.types import Findings, FloatArray, Laser, Message, MfslamError, Odometry, Scan
 
 
-class CarmenLog:
+class CarmenLog(TextLog):
     """A CARMEN log: a `drivers.base.Log`. Opening it looks through the whole file once.
 
     Raises MfslamError where it cannot be read, NoScans where it holds no scans.
@@ -56,17 +54,6 @@ class CarmenLog:
                 "odometry": odometry,
             },
         )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        return None
-
-    def progress(self) -> float:
-        return self._source.progress()
 
     def __iter__(self) -> Iterator[Message]:
         stamps, n_scans = StampWatch(self.findings), 0

@@ -6,7 +6,8 @@ import bz2
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol
+from types import TracebackType
+from typing import Protocol, Self
 
 from mfslam.types import MfslamError
 
@@ -134,3 +135,20 @@ def stamp_ns(text: bytes) -> int:
     if abs(stamp) > _MAX_STAMP_NS:
         raise ValueError(f"stamp {text!r} is out of range")
     return stamp
+
+
+class TextLog:
+    """What every reader of a `TextSource` is besides: nothing stays open between its lines."""
+
+    _source: TextSource
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        return None
+
+    def progress(self) -> float:
+        return self._source.progress()

@@ -17,15 +17,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
 from drivers.base import LogInfo, NoScans, TopicChoice
 from drivers.laser_models import LogGeometry, clean_ranges, laser_from
 from drivers.stamp_watch import StampWatch
-from drivers.text_source import NumberCache, TextSource
+from drivers.text_source import NumberCache, TextLog, TextSource
 from mfslam.config import Config
 from mfslam.types import Findings, Message, MfslamError, Scan, WheelTicks
 
@@ -36,7 +34,7 @@ _ERROR_CODES_BELOW_MM = 20.0  # SCIP 2.0: smaller values say why there is no ran
 _MAX_STAMP_US = 2**63 // 1000
 
 
-class UrgTextLog:
+class UrgTextLog(TextLog):
     """A ``urg-text`` log: a `drivers.base.Log`. Which wheel is left: ``wheels.swap_sides`` turns it round."""
 
     def __init__(self, path: Path, config: Config, topics: TopicChoice | None = None) -> None:
@@ -50,17 +48,6 @@ class UrgTextLog:
         step_rad = 2.0 * math.pi / 1024
         told = LogGeometry(N_BEAMS, angle_min_rad=(44 - 384) * step_rad, angle_step_rad=step_rad)
         self._laser = laser_from(config.sensor, told)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        return None
-
-    def progress(self) -> float:
-        return self._source.progress()
 
     def __iter__(self) -> Iterator[Message]:
         stamps, n_scans = StampWatch(self.findings), 0

@@ -15,7 +15,7 @@ from mfslam.deskew import deskew
 from mfslam.kernels import cells, poses
 from mfslam.odometry import step_sigmas
 from mfslam.search import SearchMap, search
-from mfslam.types import DeskewedScan, FloatArray, Match, Scan
+from mfslam.types import DeskewedScan, FloatArray, IntArray, Match, Scan
 
 SURPRISE_GATE = 3.0  # sigmas
 SMOOTHING_M, SURFACE_SPACING_M = 0.1, 0.04  # of surfaces made of several scans
@@ -57,7 +57,6 @@ class Step:
     local_T_body: FloatArray
     match: Match | None
     is_keyframe: bool
-    twist: FloatArray
     searched: bool = False
     odometry_jump: bool = False
 
@@ -78,11 +77,10 @@ class Frontend:
     def process(self, index: int, scan: Scan, motion: PredictedMotion) -> Step:
         """Place one scan in the local frame."""
         config = self.config
-        twist = motion.twist
-        cloud = deskew(scan, twist, config.deskew, config.icp.point_spacing_m)
+        cloud = deskew(scan, motion.twist, config.deskew, config.icp.point_spacing_m)
         if self.reference is None:
             self._add_keyframe(index, cloud)
-            return Step(self.local_T_body, None, True, twist)
+            return Step(self.local_T_body, None, True)
         predicted = self.last_step if motion.step is None else motion.step
         if motion.turn_rad is not None:
             predicted = np.array([predicted[0], predicted[1], motion.turn_rad])
@@ -116,7 +114,7 @@ class Frontend:
         ) >= math.radians(config.frontend.keyframe_angle_deg)
         if is_keyframe:
             self._add_keyframe(index, cloud)
-        return Step(self.local_T_body, match, is_keyframe, twist, searched, jump)
+        return Step(self.local_T_body, match, is_keyframe, searched, jump)
 
     def _surprise(self, predicted: FloatArray, step: FloatArray, motion: PredictedMotion) -> float:
         """How far a step lies from its prediction, in sigmas of the worst direction."""
@@ -191,11 +189,16 @@ def free_motion_sigmas(dt_s: float) -> FloatArray:
 
 def merged_surface(clouds: Sequence[DeskewedScan], frame_T_body: Sequence[FloatArray]) -> cells.CellTable:
     """Search structure over the averaged surface of several scans, in their common frame."""
-    oriented = np.empty((sum(cloud.points_m.shape[0] for cloud in clouds), 4))
-    at = 0
-    for cloud, pose in zip(clouds, frame_T_body, strict=True):
-        n = cloud.points_m.shape[0]
-        poses.transform_points(pose, cloud.points_m, cloud.normals, oriented[at : at + n])
-        at += n
-    raw = icp.reference_table(oriented)
+    raw = icp.reference_table(stacked(clouds, frame_T_body)[0])
     return icp.reference_table(cells.smooth_surface(raw, icp.CELL_M, SMOOTHING_M, SURFACE_SPACING_M))
+
+
+def stacked(
+    clouds: Sequence[DeskewedScan], frame_T_body: Sequence[FloatArray]
+) -> tuple[FloatArray, IntArray]:
+    """Oriented points (M, 4) of several scans in one frame, and the first row of each scan (N + 1,)."""
+    first = np.cumsum([0, *(cloud.points_m.shape[0] for cloud in clouds)], dtype=np.int64)
+    oriented = np.empty((int(first[-1]), 4))
+    for n, (cloud, pose) in enumerate(zip(clouds, frame_T_body, strict=True)):
+        poses.transform_points(pose, cloud.points_m, cloud.normals, oriented[first[n] : first[n + 1]])
+    return oriented, first

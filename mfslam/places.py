@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mfslam import icp
-from mfslam.frontend import Keyframe
+from mfslam.frontend import SMOOTHING_M, Keyframe, stacked
 from mfslam.kernels import cells, evidence, poses
 from mfslam.kernels.cells import CellTable
 from mfslam.search import SearchMap
@@ -17,6 +17,7 @@ from mfslam.types import FloatArray
 
 CELL_M = 0.1
 REACH_M = 15.0
+SURFACE_SPACING_M = 0.06  # coarser than the front end's: places are many
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,17 +37,9 @@ class Place:
     @classmethod
     def of(cls, keyframes: list[Keyframe], members: range, anchor: int) -> Place:
         origin = keyframes[anchor].local_T_body
-        counts = [keyframes[k].cloud.points_m.shape[0] for k in members]
-        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        oriented = np.empty((int(first[-1]), 4))
-        eyes = np.empty((len(members), 2))
-        for n, k in enumerate(members):
-            anchor_T_body = poses.between(origin, keyframes[k].local_T_body)
-            cloud = keyframes[k].cloud
-            poses.transform_points(
-                anchor_T_body, cloud.points_m, cloud.normals, oriented[first[n] : first[n + 1]]
-            )
-            eyes[n] = anchor_T_body[:2]
+        anchor_T_body = [poses.between(origin, keyframes[k].local_T_body) for k in members]
+        oriented, first = stacked([keyframes[k].cloud for k in members], anchor_T_body)
+        eyes = np.array([pose[:2] for pose in anchor_T_body]).reshape(-1, 2)
         corner = np.full(2, -REACH_M)
         size = int(2 * REACH_M / CELL_M)
         grid = evidence.evidence_grid(
@@ -54,7 +47,7 @@ class Place:
         )
         near = np.abs(oriented[:, :2]).max(axis=1) < REACH_M if len(oriented) else np.zeros(0, bool)
         raw = icp.reference_table(oriented[near])
-        surface = cells.smooth_surface(raw, icp.CELL_M, 0.1, 0.06)
+        surface = cells.smooth_surface(raw, icp.CELL_M, SMOOTHING_M, SURFACE_SPACING_M)
         return cls(anchor, surface, icp.reference_table(surface), grid, corner)
 
     def search_maps(self) -> tuple[SearchMap, SearchMap]:
