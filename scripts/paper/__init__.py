@@ -1,0 +1,1 @@
+"""The paper's experiments on the simulator, section by section; `scripts/reproduce_paper.py` runs them."""
