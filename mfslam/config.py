@@ -144,6 +144,11 @@ class IcpConfig(_Stage):
         "point_to_line",
         description="point_to_line: robust Gauss-Newton; point_to_point: the paper's closed form by SVD (eqs. 25-39).",
     )
+    partners: Literal["mutual", "nearest"] = Field(
+        "mutual",
+        description="Partners of point_to_point. mutual: each the other's nearest (w_ij of eq. 25); nearest: the "
+        "nearest, whoever else takes it (eq. 3).",
+    )
     max_iterations: int = Field(30, ge=1, description="Iterations at most.")
     search_radius_m: float = Field(0.5, gt=0, description="Partners are sought this far at the start, m.")
     final_radius_m: float = Field(0.15, gt=0, description="Partners are sought this far at the end, m.")

@@ -72,8 +72,9 @@ def _closed_form(
     """The paper's point-to-point registration (eqs. 25-39), with the point-to-line information there."""
     source = reference_table(np.hstack([points_m, normals]))
     pose, iterations, converged = align.point_to_point(
-        reference, source, CELL_M, guess, search_radius_m, config.final_radius_m, config.max_iterations
-    )
+        reference, source, CELL_M, guess, search_radius_m, config.final_radius_m, config.max_iterations,
+        config.partners == "mutual",
+    )  # fmt: skip
     # one evaluation of the point-to-line residuals; its step is not taken
     _, hessian, inlier_ratio, rms_m, _, _ = align.point_to_line(
         reference, CELL_M, points_m, normals, pose, pose, NO_PRIOR, sigma,

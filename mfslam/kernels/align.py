@@ -232,9 +232,11 @@ def point_to_point(
     radius_start: float,
     radius_end: float,
     max_iterations: int,
+    mutual: bool,
 ) -> tuple[FloatArray, int, bool]:
-    """The paper's registration from ``guess``: partners are mutually nearest (w_ij of eq. 25), each step is
-    the closed form of eqs. 26-39. The search radius shrinks while it converges.
+    """The paper's registration from ``guess``: partners are the nearest (eq. 3) or, when ``mutual``, each
+    the other's nearest (w_ij of eq. 25); each step is the closed form of eqs. 26-39. The search radius
+    shrinks while it converges.
 
     Returns ref_T_src, iterations and whether it converged.
     """
@@ -255,10 +257,11 @@ def point_to_point(
             q, _ = _nearest(table, cell, x, y, 0.0, 0.0, radius, 0.0)
             if q < 0:
                 continue
-            rx, ry = partners[q, 0] - pose[0], partners[q, 1] - pose[1]
-            back, _ = _nearest(source, cell, c * rx + s * ry, -s * rx + c * ry, 0.0, 0.0, radius, 0.0)
-            if back != i:
-                continue
+            if mutual:
+                rx, ry = partners[q, 0] - pose[0], partners[q, 1] - pose[1]
+                back, _ = _nearest(source, cell, c * rx + s * ry, -s * rx + c * ry, 0.0, 0.0, radius, 0.0)
+                if back != i:
+                    continue
             d[n, 0], d[n, 1] = points[i, 0], points[i, 1]
             m[n, 0], m[n, 1] = partners[q, 0], partners[q, 1]
             n += 1

@@ -79,7 +79,7 @@ def _call_poses(points: FloatArray, normals: FloatArray) -> None:
 def _call_registration(points: FloatArray, normals: FloatArray, table: cells.CellTable) -> None:
     pose = np.zeros(3)
     align.point_to_line(table, 0.25, points, normals, pose, pose, np.eye(3), 0.02, 3.0, 0.5, 0.1, 3, 0.01)
-    align.point_to_point(table, table, 0.25, pose, 0.5, 0.1, 3)
+    align.point_to_point(table, table, 0.25, pose, 0.5, 0.1, 3, True)
     align.rigid_fit(points, points)
 
 

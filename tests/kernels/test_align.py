@@ -138,7 +138,7 @@ def test_point_to_point_comes_near(room, ref_T_src):
     """Points are not the same from elsewhere, so it ends near the truth, not on it."""
     truth = np.array(ref_T_src)
     source = table_of(*rooms.oriented_points(rooms.ROOM, rooms.ROOM_PILLARS, truth))
-    pose, iterations, converged = align.point_to_point(room, source, CELL_M, np.zeros(3), 0.5, 0.1, 200)
+    pose, iterations, converged = align.point_to_point(room, source, CELL_M, np.zeros(3), 0.5, 0.1, 200, True)
     assert converged
     assert iterations < 200
     error = se2.between(truth, pose)
@@ -146,17 +146,21 @@ def test_point_to_point_comes_near(room, ref_T_src):
     assert abs(error[2]) < math.radians(0.3)
 
 
-def test_point_to_point_uses_mutual_partners_only():
-    """Two source points near one reference point: only the nearer one is its partner (eq. 25)."""
+def test_point_to_point_partners_are_mutual_or_the_nearest():
+    """Two source points near one reference point: only the nearer one is its partner (eq. 25), or both are
+    (eq. 3) and draw the scan towards their mean."""
     reference = table_of(np.array([[0.0, 0.0], [1.0, 0.0]]), np.zeros((2, 2)))
     source = table_of(np.array([[0.0, 0.01], [0.0, 0.2], [1.0, 0.01]]), np.zeros((3, 2)))
-    pose, _, converged = align.point_to_point(reference, source, CELL_M, np.zeros(3), 0.5, 0.1, 50)
+    mutual, _, converged = align.point_to_point(reference, source, CELL_M, np.zeros(3), 0.5, 0.1, 50, True)
     assert converged
-    np.testing.assert_allclose(pose, [0.0, -0.01, 0.0], atol=1e-9)
+    np.testing.assert_allclose(mutual, [0.0, -0.01, 0.0], atol=1e-9)
+    nearest, _, _ = align.point_to_point(reference, source, CELL_M, np.zeros(3), 0.5, 0.5, 50, False)
+    partners = reference[3][[0, 0, 1], :2]
+    np.testing.assert_allclose(nearest, align.rigid_fit(source[3][:, :2], partners), atol=1e-9)
 
 
 def test_point_to_point_with_one_pair_says_that_it_failed():
     reference = table_of(np.array([[0.0, 0.0]]), np.zeros((1, 2)))
-    pose, _, converged = align.point_to_point(reference, reference, CELL_M, np.zeros(3), 0.5, 0.1, 9)
+    pose, _, converged = align.point_to_point(reference, reference, CELL_M, np.zeros(3), 0.5, 0.1, 9, True)
     assert not converged
     np.testing.assert_array_equal(pose, np.zeros(3))
