@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.simulator.raycast import poses_on_twists
+from drivers.simulator.raycast import chained, chained_headings, poses_on_twists
 from mfslam import se2
 from mfslam.types import FloatArray
 
@@ -37,11 +37,11 @@ class Motion:
         if durations.shape != (held.shape[0],) or not np.all(durations > 0.0):
             raise ValueError(f"expected {held.shape[0]} positive durations, got {durations.shape}")
         steps = se2.exp(held * durations[:, None])
-        poses = [np.asarray(world_T_start, dtype=np.float64)]
-        for step in steps:
-            poses.append(se2.compose(poses[-1], step))
+        start = np.asarray(world_T_start, dtype=np.float64)
+        headings = chained_headings(float(start[2]), steps[:, 2])
+        poses = chained(start, steps, headings, np.cos(headings[:-1]), np.sin(headings[:-1]))
         times = np.concatenate([[0.0], np.cumsum(durations)])
-        return Motion(times, held, np.stack(poses))
+        return Motion(times, held, poses)
 
     @property
     def duration_s(self) -> float:

@@ -5,7 +5,35 @@ import math
 import numpy as np
 from numba import njit
 
-from mfslam.types import FloatArray
+from drivers.simulator.grid import Grid, grid_over
+from mfslam.types import FloatArray, IntArray
+
+
+@njit(cache=True, nogil=True)
+def chained(
+    start: FloatArray, steps: FloatArray, headings: FloatArray, c: FloatArray, s: FloatArray
+) -> FloatArray:
+    """Poses (K+1, 3) from ``start`` (3,) by ``steps`` (K, 3), one after the other.
+
+    ``headings`` (K+1,) with ``c`` and ``s`` (K,), cosine and sine of the first K.
+    """
+    out = np.empty((steps.shape[0] + 1, 3))
+    out[0] = start
+    for k in range(steps.shape[0]):
+        out[k + 1, 0] = out[k, 0] + c[k] * steps[k, 0] - s[k] * steps[k, 1]
+        out[k + 1, 1] = out[k, 1] + s[k] * steps[k, 0] + c[k] * steps[k, 1]
+        out[k + 1, 2] = headings[k + 1]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def chained_headings(start: float, turns: FloatArray) -> FloatArray:
+    """Headings (K+1,) on (-pi, pi] from ``start`` by ``turns`` (K,), one after the other."""
+    out = np.empty(turns.shape[0] + 1)
+    out[0] = start
+    for k in range(turns.shape[0]):
+        out[k + 1] = math.pi - (math.pi - (out[k] + turns[k])) % (2.0 * math.pi)
+    return out
 
 
 @njit(cache=True, nogil=True)
@@ -76,14 +104,148 @@ def _ray_circle(ox: float, oy: float, dx: float, dy: float, cx: float, cy: float
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _distance_to_segment(x: float, y: float, px: float, py: float, ex: float, ey: float) -> float:
-    length2 = ex * ex + ey * ey
-    u = ((x - px) * ex + (y - py) * ey) / length2 if length2 > 0.0 else 0.0
-    u = min(max(u, 0.0), 1.0)
-    return math.hypot(px + u * ex - x, py + u * ey - y)
+def _entry(o: float, d: float, low: float, high: float) -> tuple[float, float]:
+    """Along a ray o + t d: where it is between ``low`` and ``high``, from t to t (empty: from > to)."""
+    if d == 0.0:
+        return (0.0, math.inf) if low <= o <= high else (math.inf, 0.0)
+    a, b = (low - o) / d, (high - o) / d
+    return max(min(a, b), 0.0), max(a, b)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _crossings(o: float, d: float, i: int, origin: float, cell: float) -> tuple[int, float, float]:
+    """Of a ray in cell ``i`` of one axis: direction of its steps, t of the next border, t from border to border."""
+    if d > 0.0:
+        return 1, (origin + (i + 1) * cell - o) / d, cell / d
+    if d < 0.0:
+        return -1, (origin + i * cell - o) / d, -cell / d
+    return 0, math.inf, math.inf
 
 
 @njit(cache=True, nogil=True)
+def _cast_in_grid(
+    ox: float,
+    oy: float,
+    dx: float,
+    dy: float,
+    segments: FloatArray,
+    min_cos: FloatArray,
+    circles: FloatArray,
+    grid_origin: FloatArray,
+    cell: float,
+    shape: IntArray,
+    starts: IntArray,
+    items: IntArray,
+    range_max: float,
+) -> tuple[float, int]:
+    """Distance to the first standing thing and its number (segments, then circles); inf and -1 for none.
+
+    Walks from cell to cell (Amanatides and Woo 1987) until a hit lies before the border of the cell.
+    """
+    n_segments = segments.shape[0]
+    x0, y0 = grid_origin[0], grid_origin[1]
+    enter_x, leave_x = _entry(ox, dx, x0, x0 + shape[0] * cell)
+    enter_y, leave_y = _entry(oy, dy, y0, y0 + shape[1] * cell)
+    enter, leave = max(enter_x, enter_y), min(leave_x, leave_y, range_max)
+    best, what = math.inf, -1
+    if enter > leave:
+        return best, what
+    i = min(max(int(math.floor((ox + enter * dx - x0) / cell)), 0), shape[0] - 1)
+    j = min(max(int(math.floor((oy + enter * dy - y0) / cell)), 0), shape[1] - 1)
+    step_i, next_x, per_x = _crossings(ox, dx, i, x0, cell)
+    step_j, next_y, per_y = _crossings(oy, dy, j, y0, cell)
+    while True:
+        k = i * shape[1] + j
+        for place in range(starts[k], starts[k + 1]):
+            n = items[place]
+            if n < n_segments:
+                px, py = segments[n, 0], segments[n, 1]
+                t = _ray_segment(ox, oy, dx, dy, px, py, segments[n, 2] - px, segments[n, 3] - py, min_cos[n])
+            else:
+                c = n - n_segments
+                t = _ray_circle(ox, oy, dx, dy, circles[c, 0], circles[c, 1], circles[c, 2])
+            if t < best:
+                best, what = t, n
+        border = min(next_x, next_y)
+        if best <= border or border > leave:
+            return best, what
+        if next_x <= next_y:
+            i, next_x = i + step_i, next_x + per_x
+        else:
+            j, next_y = j + step_j, next_y + per_y
+        if not (0 <= i < shape[0] and 0 <= j < shape[1]):
+            return best, what
+
+
+@njit(cache=True, nogil=True)
+def _cast_all(
+    world_T_laser: FloatArray,
+    bearings: FloatArray,
+    segments: FloatArray,
+    min_cos: FloatArray,
+    circles: FloatArray,
+    grid_origin: FloatArray,
+    cell: float,
+    shape: IntArray,
+    starts: IntArray,
+    items: IntArray,
+    moving_segments: FloatArray,
+    moving_circles: FloatArray,
+    range_max: float,
+) -> tuple[FloatArray, IntArray]:
+    """`cast_and_name`, the grid in its pieces."""
+    scans, beams = world_T_laser.shape[0], world_T_laser.shape[1]
+    standing, doors = segments.shape[0] + circles.shape[0], moving_segments.shape[2]
+    ranges = np.empty((scans, beams))
+    hits = np.empty((scans, beams), np.int64)
+    for i in range(scans):
+        for j in range(beams):
+            ox, oy = world_T_laser[i, j, 0], world_T_laser[i, j, 1]
+            heading = world_T_laser[i, j, 2] + bearings[j]
+            dx, dy = math.cos(heading), math.sin(heading)
+            best, what = _cast_in_grid(
+                ox, oy, dx, dy, segments, min_cos, circles, grid_origin, cell, shape, starts, items, range_max
+            )
+            for k in range(doors):
+                px, py = moving_segments[i, j, k, 0], moving_segments[i, j, k, 1]
+                ex, ey = moving_segments[i, j, k, 2] - px, moving_segments[i, j, k, 3] - py
+                t = _ray_segment(ox, oy, dx, dy, px, py, ex, ey, 0.0)
+                if t < best:
+                    best, what = t, standing + k
+            for k in range(moving_circles.shape[2]):
+                q = moving_circles[i, j, k]
+                t = _ray_circle(ox, oy, dx, dy, q[0], q[1], q[2])
+                if t < best:
+                    best, what = t, standing + doors + k
+            if best > range_max:
+                best, what = math.inf, -1
+            ranges[i, j], hits[i, j] = best, what
+    return ranges, hits
+
+
+def cast_and_name(
+    world_T_laser: FloatArray,
+    bearings: FloatArray,
+    segments: FloatArray,
+    min_cos: FloatArray,
+    circles: FloatArray,
+    moving_segments: FloatArray,
+    moving_circles: FloatArray,
+    range_max: float,
+    grid: Grid,
+) -> tuple[FloatArray, IntArray]:
+    """`cast_beams` over the grid of segments and circles; and the number of what each beam hit, (S, B).
+
+    Numbers: segments, circles, moving segments, moving circles, in this order; -1: nothing.
+    """
+    ranges, hits = _cast_all(
+        *(world_T_laser, bearings, segments, min_cos, circles),
+        *(grid.origin_m, grid.cell_m, grid.shape, grid.starts, grid.items),
+        *(moving_segments, moving_circles, range_max),
+    )
+    return ranges, hits
+
+
 def cast_beams(
     world_T_laser: FloatArray,
     bearings: FloatArray,
@@ -100,45 +262,6 @@ def cast_beams(
     ``segments`` (M, 4) x1 y1 x2 y2 with ``min_cos`` (M,); ``circles`` (C, 3) x y r.
     ``moving_segments`` (S, B, D, 4) and ``moving_circles`` (S, B, P, 3): where they are at every beam.
     """
-    scans, beams = world_T_laser.shape[0], world_T_laser.shape[1]
-    ranges = np.empty((scans, beams))
-    near = np.empty((segments.shape[0], 5))
-    near_circles = np.empty(circles.shape[0], np.int64)
-    for i in range(scans):
-        x0, y0 = world_T_laser[i, 0, 0], world_T_laser[i, 0, 1]
-        reach = 0.0
-        for j in range(beams):
-            reach = max(reach, math.hypot(world_T_laser[i, j, 0] - x0, world_T_laser[i, j, 1] - y0))
-        reach += range_max
-        m = 0
-        for k in range(segments.shape[0]):
-            px, py = segments[k, 0], segments[k, 1]
-            ex, ey = segments[k, 2] - px, segments[k, 3] - py
-            if _distance_to_segment(x0, y0, px, py, ex, ey) <= reach:
-                near[m, 0], near[m, 1], near[m, 2], near[m, 3], near[m, 4] = px, py, ex, ey, min_cos[k]
-                m += 1
-        c = 0
-        for k in range(circles.shape[0]):
-            if math.hypot(circles[k, 0] - x0, circles[k, 1] - y0) - circles[k, 2] <= reach:
-                near_circles[c] = k
-                c += 1
-        for j in range(beams):
-            ox, oy = world_T_laser[i, j, 0], world_T_laser[i, j, 1]
-            heading = world_T_laser[i, j, 2] + bearings[j]
-            dx, dy = math.cos(heading), math.sin(heading)
-            best = math.inf
-            for k in range(m):
-                t = _ray_segment(ox, oy, dx, dy, near[k, 0], near[k, 1], near[k, 2], near[k, 3], near[k, 4])
-                best = min(best, t)
-            for k in range(c):
-                n = near_circles[k]
-                best = min(best, _ray_circle(ox, oy, dx, dy, circles[n, 0], circles[n, 1], circles[n, 2]))
-            for k in range(moving_segments.shape[2]):
-                px, py = moving_segments[i, j, k, 0], moving_segments[i, j, k, 1]
-                ex, ey = moving_segments[i, j, k, 2] - px, moving_segments[i, j, k, 3] - py
-                best = min(best, _ray_segment(ox, oy, dx, dy, px, py, ex, ey, 0.0))
-            for k in range(moving_circles.shape[2]):
-                q = moving_circles[i, j, k]
-                best = min(best, _ray_circle(ox, oy, dx, dy, q[0], q[1], q[2]))
-            ranges[i, j] = best if best <= range_max else math.inf
-    return ranges
+    grid = grid_over(segments, circles)
+    still, moving = (segments, min_cos, circles), (moving_segments, moving_circles)
+    return cast_and_name(world_T_laser, bearings, *still, *moving, range_max, grid)[0]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.simulator.motion import Motion
-from drivers.simulator.raycast import cast_beams
+from drivers.simulator.raycast import cast_and_name
 from drivers.simulator.robot import RobotModel, dead_reckoning, drive, encoder_ticks, wheel_angles
 from drivers.simulator.sensors import LaserModel
 from drivers.simulator.world import World
@@ -146,7 +146,7 @@ def cast_scans(world: World, motion: Motion, laser: LaserModel, instants_s: Floa
     doors = [door.at(times) for door in world.doors]
     people = [person.at(times) for person in world.people]
     no_doors, no_people = np.empty((*times.shape, 0, 4)), np.empty((*times.shape, 0, 3))
-    ranges = cast_beams(
+    ranges, _ = cast_and_name(
         se2.compose(motion.at(times), spec.body_T_laser),
         spec.angles_rad,
         world.segments,
@@ -155,6 +155,7 @@ def cast_scans(world: World, motion: Motion, laser: LaserModel, instants_s: Floa
         np.stack(doors, axis=-2) if doors else no_doors,
         np.stack(people, axis=-2) if people else no_people,
         spec.range_max_m,
+        world.grid,
     )
     return np.asarray(ranges)
 

@@ -21,10 +21,12 @@ import difflib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from drivers.simulator.grid import Grid, grid_over
 from mfslam.types import FloatArray, MfslamError
 
 GLASS_MIN_COS = math.cos(math.radians(15.0))
@@ -87,6 +89,11 @@ class World:
     path_m: FloatArray
     speeds_m_s: FloatArray
     pauses_s: FloatArray
+
+    @cached_property
+    def grid(self) -> Grid:
+        """What stands still, by place."""
+        return grid_over(self.segments, self.circles)
 
 
 @dataclass
