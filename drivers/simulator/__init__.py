@@ -9,18 +9,23 @@ import mfslam.kernels  # noqa: F401 (settles where compiled code is cached)
 from drivers.simulator.demo import demo_simulation
 from drivers.simulator.motion import Motion
 from drivers.simulator.offices import random_office
-from drivers.simulator.robot import RobotModel, drive
+from drivers.simulator.robot import ROBOTS, RobotModel, drive
+from drivers.simulator.sensing import HIT_KINDS, BeamTruth, beam_truth
 from drivers.simulator.sensors import LaserModel, laser_model, laser_model_names
 from drivers.simulator.simulate import Faults, Simulation, simulate
 from drivers.simulator.world import World, load_world, parse_world, world_names
 
 __all__ = [
+    "HIT_KINDS",
+    "ROBOTS",
+    "BeamTruth",
     "Faults",
     "LaserModel",
     "Motion",
     "RobotModel",
     "Simulation",
     "World",
+    "beam_truth",
     "demo_simulation",
     "drive",
     "laser_model",

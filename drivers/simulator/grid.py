@@ -68,8 +68,8 @@ def _scatter(
             x1, y1, r = circles[n - n_segments, 0], circles[n - n_segments, 1], circles[n - n_segments, 2]
             x2, y2 = x1, y1
             low_x, high_x = x1 - r, x1 + r
-        first = _index(low_x - _SLACK_M, origin[0], cell, shape[0])
-        last = _index(high_x + _SLACK_M, origin[0], cell, shape[0])
+        first = index_in(low_x - _SLACK_M, origin[0], cell, shape[0])
+        last = index_in(high_x + _SLACK_M, origin[0], cell, shape[0])
         for i in range(first, last + 1):
             if n < n_segments:  # the part of the segment in this column
                 left, right = origin[0] + i * cell - _SLACK_M, origin[0] + (i + 1) * cell + _SLACK_M
@@ -79,8 +79,8 @@ def _scatter(
                     low_y, high_y = min(y1, y2), max(y1, y2)
             else:
                 low_y, high_y = y1 - r, y1 + r
-            bottom = _index(low_y - _SLACK_M, origin[1], cell, shape[1])
-            top = _index(high_y + _SLACK_M, origin[1], cell, shape[1])
+            bottom = index_in(low_y - _SLACK_M, origin[1], cell, shape[1])
+            top = index_in(high_y + _SLACK_M, origin[1], cell, shape[1])
             for j in range(bottom, top + 1):
                 k = i * shape[1] + j
                 if items.shape[0]:
@@ -89,8 +89,9 @@ def _scatter(
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _index(value: float, origin: float, cell: float, count: int) -> int:
-    return min(max(int(math.floor((value - origin) / cell)), 0), count - 1)
+def index_in(value: float, origin: float, cell: float, count: int) -> int:
+    """Cell of one axis, the nearest one for what lies outside."""
+    return min(max(math.floor((value - origin) / cell), 0), count - 1)
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.simulator.raycast import chained, chained_headings, poses_on_twists
+from drivers.simulator.chain import chained, chained_headings, poses_on_twists
 from mfslam import se2
 from mfslam.types import FloatArray
 

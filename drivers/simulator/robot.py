@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import AfterValidator, Field
 
 from drivers.simulator.motion import Motion
 from drivers.simulator.pursuit import follow, rounded_path, speed_profile
@@ -18,36 +19,107 @@ from mfslam.types import FloatArray, MfslamError
 TICK_S = 0.01  # the twist of a driven motion is constant for this long
 
 
+def _no_reader_settings(wheels: WheelsConfig) -> WheelsConfig:
+    """Keys that only a reader of logs knows would change nothing here: refused."""
+    for key in ("left_joint", "right_joint", "yaw_rate_rule"):
+        if getattr(wheels, key) != WheelsConfig.model_fields[key].default:
+            raise ValueError(f"{key} is a setting of `mfslam map`, a simulated robot has none")
+    return wheels
+
+
+_Positive = Annotated[float, Field(gt=0)]
+_NotNegative = Annotated[float, Field(ge=0)]
+_Error = Annotated[float, Field(gt=-1)]
+
+
 @dataclass(frozen=True)
 class RobotModel:
-    """Limits of the drive, and the wheels: as the config would state them, and what is wrong with that.
+    """Limits of the drive, and the wheels: as the config would state them, and what is wrong with that."""
 
-    ``wheels``: the nominal geometry, known to whoever reads the log. True radius = nominal * (1 + error),
-    track likewise. ``slip_m_per_sqrt_m``: random walk of each wheel. ``odometry``: what the log carries:
-    dead-reckoned poses, encoder ticks, wheel angles or nothing. ``encoder_rate_hz`` None: one reading at
-    each scan's stamp. Gyro: reading = (1 + scale) rate + bias + noise. Compass likewise, without scale.
-    """
-
-    wheels: WheelsConfig = field(
-        default_factory=lambda: WheelsConfig(track_m=0.33, radius_left_m=0.077, radius_right_m=0.077)
+    wheels: Annotated[
+        WheelsConfig,
+        AfterValidator(_no_reader_settings),
+        Field(description="The nominal geometry, known to whoever reads the log."),
+    ] = field(default_factory=lambda: WheelsConfig(track_m=0.33, radius_left_m=0.077, radius_right_m=0.077))
+    max_speed_m_s: Annotated[_Positive, Field(description="Highest speed, m/s.")] = 3.0
+    acceleration_m_s2: Annotated[_Positive, Field(description="Highest acceleration and braking, m/s^2.")] = (
+        2.0
     )
-    max_speed_m_s: float = 3.0
-    acceleration_m_s2: float = 2.0
-    lateral_acceleration_m_s2: float = 2.0
-    max_yaw_rate_rad_s: float = 2.0
-    yaw_acceleration_rad_s2: float = 8.0
-    odometry: Literal["pose", "ticks", "angles", "none"] = "pose"
-    encoder_rate_hz: float | None = 50.0
-    radius_error_left: float = 0.0
-    radius_error_right: float = 0.0
-    track_error: float = 0.0
-    slip_m_per_sqrt_m: float = 0.0
-    gyro_rate_hz: float = 0.0
-    gyro_scale_error: float = 0.0
-    gyro_bias_rad_s: float = 0.0
-    gyro_sigma_rad_s: float = 0.002
-    compass_sigma_rad: float | None = None
-    compass_bias_rad: float = 0.0
+    lateral_acceleration_m_s2: Annotated[
+        _Positive, Field(description="Highest acceleration to the side: how fast it takes bends, m/s^2.")
+    ] = 2.0
+    max_yaw_rate_rad_s: Annotated[_Positive, Field(description="Highest yaw rate, rad/s.")] = 2.0
+    yaw_acceleration_rad_s2: Annotated[_Positive, Field(description="Highest yaw acceleration, rad/s^2.")] = (
+        8.0
+    )
+    odometry: Annotated[
+        Literal["pose", "ticks", "angles", "none"],
+        Field(
+            description="What the log carries of the wheels: dead-reckoned poses, encoder ticks, wheel angles or none."
+        ),
+    ] = "pose"
+    encoder_rate_hz: Annotated[
+        Annotated[float, Field(gt=0)] | None,
+        Field(description="Readings of the encoders, Hz. Null: one reading at each scan's stamp."),
+    ] = 50.0
+    radius_error_left: Annotated[
+        _Error, Field(description="True radius of the left wheel = radius_left_m * (1 + this).")
+    ] = 0.0
+    radius_error_right: Annotated[
+        _Error, Field(description="True radius of the right wheel = radius_right_m * (1 + this).")
+    ] = 0.0
+    track_error: Annotated[_Error, Field(description="True track = track_m * (1 + this).")] = 0.0
+    slip_m_per_sqrt_m: Annotated[
+        _NotNegative, Field(description="Random walk of each wheel over the way that it rolls, m per root m.")
+    ] = 0.0
+    gyro_rate_hz: Annotated[
+        _NotNegative, Field(description="Readings of the gyro, Hz. 0: there is none.")
+    ] = 0.0
+    gyro_scale_error: Annotated[float, Field(description="Reading = (1 + this) yaw rate + bias + noise.")] = (
+        0.0
+    )
+    gyro_bias_rad_s: Annotated[float, Field(description="Bias of the gyro, rad/s.")] = 0.0
+    gyro_sigma_rad_s: Annotated[_NotNegative, Field(description="One-sigma noise of a reading, rad/s.")] = (
+        0.002
+    )
+    compass_sigma_rad: Annotated[
+        Annotated[float, Field(ge=0)] | None,
+        Field(
+            description="One-sigma noise of a heading, told with the gyro's readings, rad. Null: no compass."
+        ),
+    ] = None
+    compass_bias_rad: Annotated[float, Field(description="Error of all headings, rad.")] = 0.0
+    encoder_phase_s: Annotated[
+        _NotNegative, Field(description="First reading of the encoders after the start, s.")
+    ] = 0.0
+    encoder_jitter_s: Annotated[
+        _NotNegative,
+        Field(
+            description="One-sigma error of the stamps of encoder readings, s. Not of those at scans' stamps."
+        ),
+    ] = 0.0
+    turning_track_factor: Annotated[
+        _Positive,
+        Field(
+            description="Tracks slip in turns: they roll as wheels this much farther apart than the true track. "
+            "1 for wheels."
+        ),
+    ] = 1.0
+    turning_slip_m_per_sqrt_rad: Annotated[
+        _NotNegative,
+        Field(description="Random walk of each track over the turn of the robot, m per root rad."),
+    ] = 0.0
+
+
+ROBOTS: dict[str, RobotModel] = {
+    "wheels": RobotModel(),
+    "tracks": RobotModel(  # as the paper's: tracks, 256 pulses per turn
+        wheels=WheelsConfig(radius_left_m=0.08, radius_right_m=0.08, track_m=0.4, ticks_per_turn=256),
+        turning_track_factor=1.5,
+        turning_slip_m_per_sqrt_rad=0.005,
+        slip_m_per_sqrt_m=0.005,
+    ),
+}
 
 
 def drive(world: World, robot: RobotModel, rest_s: float = 0.5) -> Motion:
@@ -118,11 +190,14 @@ def wheel_angles(
 ) -> FloatArray:
     """Angles (N, 2), rad, that the left and right wheels have turned since ``times_s[0]``, slip included."""
     forward, turned = motion.travel(times_s)
-    half_track = 0.5 * robot.wheels.track_m * (1.0 + robot.track_error)
+    half_track = 0.5 * robot.wheels.track_m * (1.0 + robot.track_error) * robot.turning_track_factor
     rolled = np.diff(
         np.stack([forward - half_track * turned, forward + half_track * turned], axis=-1), axis=0
     )
     rolled += rng.standard_normal(rolled.shape) * robot.slip_m_per_sqrt_m * np.sqrt(np.abs(rolled))
+    if robot.turning_slip_m_per_sqrt_rad > 0.0:
+        walk = robot.turning_slip_m_per_sqrt_rad * np.sqrt(np.abs(np.diff(turned)))
+        rolled += rng.standard_normal(rolled.shape) * walk[:, None]
     radii = np.array(
         [
             robot.wheels.radius_left_m * (1.0 + robot.radius_error_left),

@@ -24,6 +24,7 @@ class LaserModel:
     ``error_share``: share of beams that end in an error code (NaN). ``no_return_is_inf``: whether beams
     that meet nothing are told (+inf) or lost (NaN). ``stamp_delay_s``: stamps are late by this, against
     the wheels' clock (t_ND = -stamp_delay_s). ``clock_drift``: the laser's clock gains this, s per s.
+    ``mixed_share``: share of the edges at which a beam tells a range between the two surfaces.
     """
 
     laser: Laser
@@ -35,6 +36,7 @@ class LaserModel:
     no_return_is_inf: bool = True
     stamp_delay_s: float = 0.0
     clock_drift: float = 0.0
+    mixed_share: float = 0.0
 
 
 @dataclass(frozen=True)
