@@ -6,6 +6,7 @@ is cast from the pose at its own instant (no scan is a snapshot here either).
 """
 
 import mfslam.kernels  # noqa: F401 (settles where compiled code is cached)
+from drivers.simulator.catalog import load_world, world_names
 from drivers.simulator.demo import demo_simulation
 from drivers.simulator.motion import Motion
 from drivers.simulator.offices import random_office
@@ -13,7 +14,7 @@ from drivers.simulator.robot import ROBOTS, RobotModel, drive
 from drivers.simulator.sensing import HIT_KINDS, BeamTruth, beam_truth
 from drivers.simulator.sensors import LaserModel, laser_model, laser_model_names
 from drivers.simulator.simulate import Faults, Simulation, simulate
-from drivers.simulator.world import World, load_world, parse_world, world_names
+from drivers.simulator.world import World, parse_world
 
 __all__ = [
     "HIT_KINDS",

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from drivers.simulator.catalog import load_world
 from drivers.simulator.robot import RobotModel
 from drivers.simulator.sensors import laser_model
 from drivers.simulator.simulate import Simulation, simulate
-from drivers.simulator.world import load_world
 from mfslam.config import WheelsConfig
 
 

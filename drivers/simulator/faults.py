@@ -6,16 +6,32 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, ConfigDict, Field, with_config
 
 from mfslam import se2
 from mfslam.types import BoolArray, FloatArray, IntArray
 
 _BURST_STEP_NS = 1_000_000  # scans of one burst are handed over so far apart
 
-Intervals = tuple[tuple[float, float], ...]
+
+def _forward(interval: tuple[float, float]) -> tuple[float, float]:
+    if interval[1] <= interval[0]:
+        raise ValueError(f"expected [from, to] with from before to, got {list(interval)}")
+    return interval
 
 
+def _in_time(restart: tuple[float, float, float]) -> tuple[float, float, float]:
+    if restart[1] < 0.0:
+        raise ValueError(
+            f"expected [time, silence, clock jump] with a silence of at least 0, got {list(restart)}"
+        )
+    return restart
+
+
+Intervals = tuple[Annotated[tuple[float, float], AfterValidator(_forward)], ...]
+
+
+@with_config(ConfigDict(allow_inf_nan=False))
 @dataclass(frozen=True)
 class Faults:
     """What goes wrong on the way into the log. Times in s from the start."""
@@ -46,7 +62,7 @@ class Faults:
         ),
     ] = 1
     restarts: Annotated[
-        tuple[tuple[float, float, float], ...],
+        tuple[Annotated[tuple[float, float, float], AfterValidator(_in_time)], ...],
         Field(
             description="[time, silence, clock jump], s: the logger stops, comes back after the silence with counters "
             "and odometry at zero, its clock off by the jump (may be negative)."

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, ConfigDict, Field, with_config
 
 from drivers.simulator.motion import Motion
 from drivers.simulator.pursuit import follow, rounded_path, speed_profile
@@ -32,6 +32,7 @@ _NotNegative = Annotated[float, Field(ge=0)]
 _Error = Annotated[float, Field(gt=-1)]
 
 
+@with_config(ConfigDict(allow_inf_nan=False))
 @dataclass(frozen=True)
 class RobotModel:
     """Limits of the drive, and the wheels: as the config would state them, and what is wrong with that."""

@@ -83,16 +83,25 @@ def laser_model_names() -> list[str]:
     return sorted(_DELIVERIES)
 
 
+def _delivery(name: str) -> _Delivery:
+    if name not in _DELIVERIES:
+        near = difflib.get_close_matches(name, _DELIVERIES, n=1)
+        hint = f"; did you mean {near[0]}?" if near else "."
+        raise MfslamError(f"no laser model {name!r}{hint} Known: {', '.join(laser_model_names())}")
+    return _DELIVERIES[name]
+
+
+def laser_preset(name: str) -> str:
+    """The mfslam preset that knows this model."""
+    return _delivery(name).preset
+
+
 def laser_model(name: str, body_T_laser: FloatArray | tuple[float, float, float] = (0, 0, 0)) -> LaserModel:
     """A known sensor by its name, mounted at ``body_T_laser`` (3,): the preset's geometry, timing and noise.
 
     The instant of a scan is that of its first sensed beam.
     """
-    if name not in _DELIVERIES:
-        near = difflib.get_close_matches(name, _DELIVERIES, n=1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise MfslamError(f"no laser model {name!r}{hint} Known: {', '.join(laser_model_names())}")
-    delivery = _DELIVERIES[name]
+    delivery = _delivery(name)
     sensor = config.load([config.preset_path(delivery.preset)]).sensor
     laser = laser_from(sensor, delivery.told, name=name)
     return LaserModel(

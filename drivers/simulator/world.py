@@ -22,7 +22,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -98,6 +97,7 @@ class World:
 
 @dataclass
 class _Draft:
+    default_speed_m_s: float
     segments: list[tuple[float, ...]] = field(default_factory=list)
     min_cos: list[float] = field(default_factory=list)
     circles: list[tuple[float, ...]] = field(default_factory=list)
@@ -164,7 +164,7 @@ class _Draft:
         self.start = (v[0], v[1], math.radians(v[2]))
 
     def add_path(self, v: list[float]) -> None:
-        speed = v[2] if len(v) > 2 else (self.speeds[-1] if self.speeds else DEFAULT_SPEED_M_S)
+        speed = v[2] if len(v) > 2 else (self.speeds[-1] if self.speeds else self.default_speed_m_s)
         _positive(speed=speed)
         self.path.append((v[0], v[1]))
         self.speeds.append(speed)
@@ -206,9 +206,12 @@ def _positive(**values: float) -> None:
             raise ValueError(f"the {name} must be more than 0, got {value:g}")
 
 
-def parse_world(text: str, name: str = "world") -> World:
-    """A world from its text. Raises MfslamError ``name:line: ...`` for anything not understood."""
-    draft = _Draft()
+def parse_world(text: str, name: str = "world", default_speed_m_s: float = DEFAULT_SPEED_M_S) -> World:
+    """A world from its text. Raises MfslamError ``name:line: ...`` for anything not understood.
+
+    ``default_speed_m_s``: limit until a path point states one.
+    """
+    draft = _Draft(default_speed_m_s=default_speed_m_s)
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].split()
         if words:
@@ -235,7 +238,7 @@ def parse_world(text: str, name: str = "world") -> World:
 def _parse_item(draft: _Draft, kind: str, words: list[str]) -> None:
     if kind not in _ITEMS:
         near = difflib.get_close_matches(kind, _ITEMS, n=1)
-        hint = f"; did you mean {near[0]}?" if near else ""
+        hint = f"; did you mean {near[0]}?" if near else "."
         raise ValueError(f"no such item {kind!r}{hint} Known: {', '.join(_ITEMS)}")
     act, fewest, most, usage = _ITEMS[kind]
     if len(words) < fewest or (most is not None and len(words) > most):
@@ -250,30 +253,3 @@ def _parse_item(draft: _Draft, kind: str, words: list[str]) -> None:
             raise ValueError(f"expected a finite number, got {word!r}")
         values.append(value)
     act(draft, values)
-
-
-def _shipped() -> Path:
-    return Path(__file__).resolve().parent / "worlds"
-
-
-def world_names() -> list[str]:
-    """Names of the worlds that ship with mfslam."""
-    return sorted(p.stem for p in _shipped().glob("*.world"))
-
-
-def load_world(name: str | Path) -> World:
-    """A shipped world by its name, or a world file by its path."""
-    path = _shipped() / f"{name}.world"
-    if not path.is_file():
-        path = Path(name)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        near = difflib.get_close_matches(str(name), world_names(), n=1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise MfslamError(
-            f"no world and no file {str(name)!r}{hint} Worlds: {', '.join(world_names())}"
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise MfslamError(f"{path}: expected a world text file: {error}") from None
-    return parse_world(text, path.stem if path.parent == _shipped() else str(path))
