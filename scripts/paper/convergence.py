@@ -117,15 +117,15 @@ def converge(pairs: list[Pair], method: Method, guess_kind: str) -> Convergence:
 
 
 def time_methods(pairs: list[Pair], rounds: int) -> dict[str, float]:
-    """Mean ms of compensation, search structures and 15 iterations on one pair; the methods take turns, so
-    that a busy machine slows both."""
+    """Mean CPU ms of compensation, search structures and 15 iterations on one pair, on one core; the methods
+    take turns, so that a busy machine slows both."""
     spent = {method.name: 0.0 for method in METHODS}
     for method in METHODS:  # compiled before the clock starts
         iterate(pairs[0], method, np.zeros(3))
     for _ in range(rounds):
         for pair in pairs:
             for method in METHODS:
-                start_s = time.perf_counter()
+                start_s = time.process_time()
                 iterate(pair, method, np.zeros(3))
-                spent[method.name] += time.perf_counter() - start_s
+                spent[method.name] += time.process_time() - start_s
     return {name: 1e3 * s / (rounds * len(pairs)) for name, s in spent.items()}

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Rectangle
 from paper.rig import Drive
 
 from drivers.simulator import World
@@ -44,7 +44,7 @@ def _save(figure: Figure, path: Path) -> None:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    picture.quantize(96, dither=Image.Dither.NONE).save(path, optimize=True)
+    picture.quantize(160, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 def _plain(axes: Axes) -> None:
@@ -59,8 +59,8 @@ def draw_scans(scans: Mapping[str, ScanTriple], path: Path) -> None:
         rows = ((triple.snapshot, "as a snapshot", VERMILION), (triple.compensated, "compensated", GREEN))
         for row, (points, what, colour) in enumerate(rows):
             axes = grid[row, column]
-            axes.plot(*triple.stationary.T, ".", ms=2.5, color=BLUE, label="standing robot")
-            axes.plot(*points.T, ".", ms=2.5, color=colour, label=what)
+            axes.plot(*points.T, ".", ms=2.2, color=colour, label=f"moving, {what}")
+            axes.plot(*_broken(triple.stationary).T, color=BLUE, lw=1.4, label="standing")
             axes.plot(0, 0, marker=">", ms=7, color="black")
             axes.set_aspect("equal")
             _plain(axes)
@@ -70,12 +70,19 @@ def draw_scans(scans: Mapping[str, ScanTriple], path: Path) -> None:
                 axes.set_xlabel("x ahead, m")
             if column == 0:
                 axes.set_ylabel("y to the left, m")
-                axes.legend(loc="upper left", markerscale=3, fontsize=8, framealpha=0.9)
+            if column == len(scans) - 1:
+                axes.legend(loc="upper right", markerscale=3, fontsize=8)
     _save(figure, path)
 
 
+def _broken(points_m: FloatArray) -> FloatArray:
+    """A scan's points (M, 2) as lines: NaN where neighbours are far apart."""
+    gaps = np.flatnonzero(np.hypot(*np.diff(points_m, axis=0).T) > 0.2) + 1
+    return np.insert(points_m, gaps, np.nan, axis=0)
+
+
 def draw_by_beam(angles_deg: FloatArray, curves_m: Mapping[str, FloatArray], path: Path) -> None:
-    figure = _figure(3.4)
+    figure = _figure(3.6)
     axes = figure.subplots()
     for colour, (name, error_m) in zip(SERIES, curves_m.items(), strict=True):
         axes.semilogy(angles_deg, 1e3 * error_m, color=colour, label=name, lw=1.6)
@@ -83,7 +90,7 @@ def draw_by_beam(angles_deg: FloatArray, curves_m: Mapping[str, FloatArray], pat
     axes.set_ylabel("systematic error at 3 m/s, mm")
     axes.set_xticks(np.arange(-120, 121, 30))
     axes.set_ylim(bottom=0.1)
-    axes.legend(fontsize=8, ncols=2, loc="lower right")
+    figure.legend(fontsize=8, ncols=2, loc="outside upper center")
     _plain(axes)
     _save(figure, path)
 
@@ -99,8 +106,11 @@ def draw_walls(axes: Axes, world: World, colour: str = "black", width: float = 0
     axes.set_xlabel("x, m")
 
 
-def draw_world(drive: Drive, overlay: tuple[FloatArray, FloatArray], path: Path) -> None:
-    """``overlay``: hits (P, 2) where they truly are, and as snapshots tell them."""
+def draw_world(
+    drive: Drive, overlay: tuple[FloatArray, FloatArray], box_m: tuple[float, float, float, float], path: Path
+) -> None:
+    """``overlay``: hits (P, 2) where they truly are, and as snapshots tell them, drawn within ``box_m``: x
+    and y, from and to."""
     figure = _figure(7.2)
     grid = figure.add_gridspec(2, 2, height_ratios=[2.6, 1.0])
     model, scans, profile = (figure.add_subplot(grid[where]) for where in ((0, 0), (0, 1), (1, slice(None))))
@@ -113,19 +123,24 @@ def draw_world(drive: Drive, overlay: tuple[FloatArray, FloatArray], path: Path)
     lines.set_clim(0.0, 3.0)
     model.add_collection(lines)
     model.plot(*xy[0], "o", color="black", ms=6)
-    model.annotate("start", xy[0], (6, 6), textcoords="offset points", fontsize=9)
+    model.annotate("start", xy[0], (9, -3), textcoords="offset points", fontsize=9).set_bbox(
+        {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
+    )
+    model.add_patch(
+        Rectangle((box_m[0], box_m[2]), box_m[1] - box_m[0], box_m[3] - box_m[2], fill=False, ls=":", lw=1.2)
+    )
     figure.colorbar(lines, ax=model, label="speed, m/s", shrink=0.8, ticks=[0, 1, 2, 3])
     model.set_ylabel("y, m")
     model.set_title("world and route", fontsize=10)
     true, snapshots = overlay
-    scans.plot(*snapshots.T, ".", ms=1.2, color=VERMILION, label="moving scans as snapshots")
-    scans.plot(*true.T, ".", ms=0.8, color=BLUE, label="where the hits truly are")
-    scans.set_xlim(model.get_xlim())
-    scans.set_ylim(model.get_ylim())
+    scans.plot(*snapshots.T, ".", ms=2.0, color=VERMILION, label="moving scans as snapshots")
+    scans.plot(*true.T, ".", ms=1.4, color=BLUE, label="where the hits truly are")
+    scans.set_xlim(*box_m[:2])
+    scans.set_ylim(*box_m[2:])
     scans.set_aspect("equal")
     scans.set_xlabel("x, m")
-    scans.set_title("scans from the true poses", fontsize=10)
-    scans.legend(loc="center", markerscale=8, fontsize=8)
+    scans.set_title("scans from the true poses, dotted frame", fontsize=10)
+    scans.legend(loc="lower left", markerscale=5, fontsize=8)
     profile.plot(times, speed, color=BLUE, label="speed, m/s")
     profile.plot(times, drive.motion.twist_at(times)[:, 2], color=ORANGE, lw=1.2, label="yaw rate, rad/s")
     profile.set_xlabel("time, s")

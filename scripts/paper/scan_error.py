@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,9 @@ from paper.rig import (
 )
 from paper.section import Claim, Effort, Section
 
+from drivers.simulator import Motion
+from drivers.simulator.simulate import cast_scans
+from mfslam import se2
 from mfslam.config import DeskewConfig
 from mfslam.deskew import beam_times_s, deskew
 from mfslam.types import BoolArray, FloatArray, Scan
@@ -30,6 +33,7 @@ SPEEDS_M_S = (1.0, 2.0, 3.0)
 STEADY_M_S, STEADY_RAD_S = 0.02, 0.05  # a scan within this of its speed, and turning no faster, is steady
 TURNING_RAD_S = 0.5
 BAR = 1.0 / 20.0
+BOXES_M = {SQUARE: (14.8, 24.8, 15.0, 25.0), H: (13.8, 23.8, 8.0, 18.0)}  # drawn large: a fast stretch, a turn
 
 NONE, RANGE, WHEELS_POSE, OPTIMISED = "none", "range", "pose, wheels", "pose, optimised"
 VARIANTS = {
@@ -56,17 +60,24 @@ class ErrorFigures:
     @staticmethod
     def of(displacements_m: FloatArray) -> ErrorFigures:
         """``displacements_m`` (S, B, 2), NaN where a beam met nothing."""
-        seen = np.isfinite(displacements_m[..., 0]).sum(axis=0) >= 0.5 * len(displacements_m)
-        mean = np.nanmean(displacements_m[:, seen], axis=0)
+        mean = mean_by_beam(displacements_m)
         length = np.hypot(displacements_m[..., 0], displacements_m[..., 1])
         return ErrorFigures(
             scans=len(displacements_m),
             last_x_m=float(mean[-1, 0]),
             last_y_m=float(mean[-1, 1]),
-            systematic_rms_m=rms(np.hypot(mean[:, 0], mean[:, 1])),
+            systematic_rms_m=rms(np.hypot(*mean.T)),
             rms_m=rms(length),
             max_m=float(np.nanmax(length)),
         )
+
+
+def mean_by_beam(displacements_m: FloatArray) -> FloatArray:
+    """(B, 2) mean over the scans; NaN for beams that met nothing in half of them or more."""
+    often = np.isfinite(displacements_m[..., 0]).mean(axis=0) > 0.5
+    out = np.full(displacements_m.shape[1:], np.nan)
+    out[often] = np.nanmean(displacements_m[:, often], axis=0)
+    return out
 
 
 def displacements(drive: Drive, twists: FloatArray, settings: DeskewConfig) -> FloatArray:
@@ -208,7 +219,7 @@ def _draw(drive: Drive, displaced: dict[str, FloatArray], folder: Path) -> list[
     at3 = steady_scans(drive, 3.0)
     pictures.draw_by_beam(
         angles_deg,
-        {VARIANTS[v]: np.hypot(*np.nanmean(moved[at3], axis=0).T) for v, moved in displaced.items()},
+        {VARIANTS[v]: np.hypot(*mean_by_beam(moved[at3]).T) for v, moved in displaced.items()},
         folder / "error-by-beam.png",
     )
     body = [
@@ -220,7 +231,7 @@ def _draw(drive: Drive, displaced: dict[str, FloatArray], folder: Path) -> list[
     ]
     for name, paper in ((SQUARE, "Figures 10 and 11"), (H, "Figures 10 and 15")):
         world = drive if name == SQUARE else drive_through(name)
-        pictures.draw_world(world, _overlay(world, 1.2), folder / f"{name}.png")
+        pictures.draw_world(world, _overlay(world, 1.5), BOXES_M[name], folder / f"{name}.png")
         body += [
             f"![{name}]({name}.png)",
             f"*{paper}, the {name.replace('-', ' ').replace('h ', 'H ')}: the route by speed, scans as snapshots on "
@@ -238,11 +249,6 @@ def _telling_scan(drive: Drive, speed_m_s: float) -> int:
 
 def _standing_points(drive: Drive, n: int) -> FloatArray:
     """(M, 2) noise-free scan of a robot that stands where scan ``n`` began, body frame."""
-    from dataclasses import replace
-
-    from drivers.simulator import Motion
-    from drivers.simulator.simulate import cast_scans
-
     motion = Motion.from_twists([1.0], [(0.0, 0.0, 0.0)], drive.world_T_body[n])
     ranges = cast_scans(drive.world, motion, replace(drive.laser, noise=False), np.zeros(1))[0]
     standing = Scan(0, np.where(np.isfinite(ranges), ranges, np.nan).astype(np.float32), drive.laser.laser)
@@ -254,8 +260,6 @@ def _overlay(drive: Drive, every_m: float) -> tuple[FloatArray, FloatArray]:
     travelled_m, _ = drive.motion.travel(drive.instants_s)
     first = np.unique((travelled_m / every_m).astype(np.int64), return_index=True)[1]
     snapshots = []
-    from mfslam import se2
-
     for n, scan in enumerate(drive.exact_scans(range(len(drive.instants_s)))):
         if n in set(first.tolist()):
             cloud = deskew(scan, np.zeros(3), DeskewConfig(mode="none"))
