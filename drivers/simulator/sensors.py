@@ -96,6 +96,13 @@ def laser_preset(name: str) -> str:
     return _delivery(name).preset
 
 
+def laser_timing(name: str) -> tuple[float, float]:
+    """Period of one turn of the model's mirror, and from scan to scan, s."""
+    delivery = _delivery(name)
+    known = config.load([config.preset_path(delivery.preset)]).sensor.turn_period_s
+    return known or delivery.told.turn_period_s or delivery.period_s, delivery.period_s
+
+
 def laser_model(name: str, body_T_laser: FloatArray | tuple[float, float, float] = (0, 0, 0)) -> LaserModel:
     """A known sensor by its name, mounted at ``body_T_laser`` (3,): the preset's geometry, timing and noise.
 

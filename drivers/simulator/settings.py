@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from drivers.simulator.faults import Faults
 from drivers.simulator.robot import ROBOTS, RobotModel
-from drivers.simulator.sensors import LaserModel, laser_model, laser_model_names, laser_preset
+from drivers.simulator.sensors import LaserModel, laser_model, laser_model_names, laser_preset, laser_timing
 from mfslam.config import WheelsConfig, _overlay, _parse_setting, _read_yaml
 from mfslam.types import MfslamError
 
@@ -67,34 +67,46 @@ class LaserSettings(BaseModel):
     def model(self) -> LaserModel:
         """The laser that these settings describe. Raises MfslamError for an unknown name."""
         base = laser_model(self.name, (self.mount_x_m, self.mount_y_m, math.radians(self.mount_yaw_deg)))
-        laser, period_s = base.laser, base.period_s
-        if self.scan_rate_hz is not None:
-            offsets = laser.offsets_s * (1.0 / (self.scan_rate_hz * period_s))
-            laser, period_s = dataclasses.replace(laser, offsets_s=offsets), 1.0 / self.scan_rate_hz
-        if self.reversed_beams:
-            laser = dataclasses.replace(laser, offsets_s=laser.offsets_s[::-1].copy())
-        if self.range_max_m is not None:
-            laser = dataclasses.replace(laser, range_max_m=self.range_max_m)
-        if self.range_sigma_m:
-            laser = dataclasses.replace(laser, range_sigma_m=self.range_sigma_m)
-        told = [self.told_mount_x_m, self.told_mount_y_m, self.told_mount_yaw_deg]
-        if told[2] is not None:
-            told[2] = math.radians(told[2])
-        mount = [true if said is None else said for true, said in zip(laser.body_T_laser, told, strict=True)]
-        lost, step = self.no_return_is_inf, self.range_step_m
+        laser, stretch = base.laser, self.stretch
+        offsets = laser.offsets_s[::-1] if self.reversed_beams else laser.offsets_s
+        laser = dataclasses.replace(
+            laser,
+            offsets_s=offsets * stretch,
+            range_max_m=self.range_max_m or laser.range_max_m,
+            range_sigma_m=self.range_sigma_m or laser.range_sigma_m,
+        )
+        x, y, yaw_deg = self.told_mount
+        told = np.array([x, y, math.radians(yaw_deg)])
+        honest = np.array_equal(told, laser.body_T_laser)
         return LaserModel(
             laser=laser,
-            period_s=period_s,
-            reported=None if not any(t is not None for t in told)
-            else dataclasses.replace(laser, body_T_laser=np.array(mount, dtype=np.float64)),
-            range_step_m=base.range_step_m if step is None else step,
+            period_s=base.period_s * stretch,
+            reported=None if honest else dataclasses.replace(laser, body_T_laser=told),
+            range_step_m=base.range_step_m if self.range_step_m is None else self.range_step_m,
             noise=self.range_sigma_m != 0.0,
             error_share=self.error_share,
-            no_return_is_inf=base.no_return_is_inf if lost is None else lost,
+            no_return_is_inf=base.no_return_is_inf
+            if self.no_return_is_inf is None
+            else self.no_return_is_inf,
             stamp_delay_s=self.stamp_delay_s,
             clock_drift=self.clock_drift,
             mixed_share=self.mixed_share,
-        )  # fmt: skip
+        )
+
+    @property
+    def stretch(self) -> float:
+        """How much slower than the model it turns."""
+        return 1.0 if self.scan_rate_hz is None else 1.0 / (self.scan_rate_hz * laser_timing(self.name)[1])
+
+    @property
+    def told_mount(self) -> tuple[float, float, float]:
+        """x, y (m), yaw (deg) as the log says."""
+        x, y, yaw_deg = self.told_mount_x_m, self.told_mount_y_m, self.told_mount_yaw_deg
+        return (
+            self.mount_x_m if x is None else x,
+            self.mount_y_m if y is None else y,
+            self.mount_yaw_deg if yaw_deg is None else yaw_deg,
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,7 +157,7 @@ def _checked(merged: dict[str, Any], origin: dict[tuple[str, ...], str]) -> Sett
         if not isinstance(values, dict):
             problems.append(f"{origin[(stage,)]}: {stage}: expected keys below it, got {values!r}")
             continue
-        strangers = [(stage, key) for key in values if key not in _keys((stage,))]
+        strangers: list[tuple[str, ...]] = [(stage, key) for key in values if key not in _keys((stage,))]
         wheels = values.get("wheels")
         if stage == "robot" and isinstance(wheels, dict):
             strangers += [(stage, "wheels", key) for key in wheels if key not in WheelsConfig.model_fields]

@@ -35,12 +35,12 @@ def write_log(
     """Write messages, in their order, as one log; returns what the format could not hold, counted.
 
     ``format``: one of FORMATS; by default from the suffix (.clf, .log, .dat, .bag, .db3, .mcap; text also
-    with .gz or .bz2). A ROS 2 format makes a bag folder, or the bare file when the path ends in .db3 or
+    with .gz or .bz2; none: a folder with MCAP). A ROS 2 format makes a bag folder, or the bare file when the path ends in .db3 or
     .mcap. ``wheels``: ticks per turn (for bags of encoder ticks) and order of the sides (for URG text).
     Raises MfslamError when the format cannot hold the log, or the path exists and is not to be overwritten.
     """
     path = Path(path)
-    kind = _format_of(path, format)
+    kind = format_of(path, format)
     if path.exists() and not overwrite:
         raise MfslamError(f"{path}: exists already; choose another name or allow overwriting")
     findings = Findings()
@@ -57,8 +57,19 @@ def write_log(
     return findings
 
 
-def _format_of(path: Path, format: str | None) -> Format:
+def log_stem(path: Path) -> str:
+    """The name of a log without what tells its format and compression."""
+    name = path.name
+    while Path(name).suffix in (*_BY_SUFFIX, ".gz", ".bz2"):
+        name = Path(name).stem
+    return name
+
+
+def format_of(path: Path, format: str | None = None) -> Format:
+    """The format that is named, else that of the suffix. Raises MfslamError where there is none."""
     if format is None:
+        if not path.suffix:
+            return "ros2-mcap"
         suffixes = [s for s in path.suffixes if s in _BY_SUFFIX]
         if not suffixes:
             raise MfslamError(
