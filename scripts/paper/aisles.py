@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from paper import pictures
 from paper.cases import CONVENTIONAL, MFSLAM, MOTION_FREE, Mapped, Task, map_all, mean_error
 from paper.convergence import GUESSES, METHODS, Convergence, converge, pairs_of, time_methods
-from paper.rig import H, SQUARE, drive_through
+from paper.rig import SQUARE, H, drive_through
 from paper.section import Claim, Effort, Section
 
 SEEDS, QUICK_SEEDS = (1, 2, 3), (1,)
@@ -46,7 +47,12 @@ def run(effort: Effort) -> Section:
     measured: dict[str, Any] = {
         world: {
             "convergence": {
-                f"{method}, {guess}": {"x_m": c.x_m, "y_m": c.y_m, "residual_m": c.residual_m, "pairs": c.pairs}
+                f"{method}, {guess}": {
+                    "x_m": c.x_m,
+                    "y_m": c.y_m,
+                    "residual_m": c.residual_m,
+                    "pairs": c.pairs,
+                }
                 for (method, guess), c in curves[world].items()
             },
             "ms_for_15_iterations": times[world],
@@ -119,7 +125,9 @@ def _convergence_part(world: str, curves: _Curves, folder: Path | None) -> list[
     if folder is not None:
         colours = {METHODS[0].name: pictures.VERMILION, METHODS[1].name: pictures.BLUE}
         drawn = [
-            pictures.Curve(f"{method.split(' (')[0]}, {guess}", colours[method], guess == GUESSES[0], c.x_m, c.y_m)
+            pictures.Curve(
+                f"{method.split(' (')[0]}, {guess}", colours[method], guess == GUESSES[0], c.x_m, c.y_m
+            )
             for (method, guess), c in curves.items()
         ]
         pictures.draw_convergence(drawn, folder / f"{world}-icp.png")
@@ -182,9 +190,7 @@ def _convergence_claims(world: str, curves: _Curves) -> list[Claim]:
     for guess in GUESSES:
         conventional, motion_free = (curves[method.name, guess] for method in METHODS)
         ends = [1e3 * v for c in (conventional, motion_free) for v in (c.x_m[-1], c.y_m[-1])]
-        slower = bool(
-            conventional.x_m[0] - conventional.x_m[3] > motion_free.x_m[0] - motion_free.x_m[3]
-        )
+        slower = bool(conventional.x_m[0] - conventional.x_m[3] > motion_free.x_m[0] - motion_free.x_m[3])
         claims.append(
             Claim(
                 f"Motion-free ICP ends at a lower RMS error in X and in Y, {world}, from {guess}",
@@ -208,9 +214,7 @@ def _convergence_claims(world: str, curves: _Curves) -> list[Claim]:
 
 def _why_ends(guess: str, slower: bool) -> str:
     if guess == GUESSES[1]:
-        return (
-            "the error of the snapshot stays in the points whatever the match; compensated ones are left with their noise"
-        )
+        return "the error of the snapshot stays in the points whatever the match; compensated ones are left with their noise"
     slow = ", mutual partners the longest" if slower else ""
     return f"along an aisle 15 iterations of point to point are far too few from 0.1 to 0.3 m away{slow}"
 

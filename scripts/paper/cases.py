@@ -8,10 +8,10 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from paper.map_error import MapError, MapPoints, map_error
-from paper.rig import PAPER_SYSTEM, drive_through, run_engine, settings_of
 
 from mfslam.types import FloatArray
+from paper.map_error import MapError, MapPoints, map_error
+from paper.rig import PAPER_SYSTEM, drive_through, run_engine, settings_of
 
 PICTURE_POINTS = 60_000
 

@@ -6,7 +6,6 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from paper.rig import Drive, settings_of, wheel_twists
 from scipy.spatial import cKDTree
 
 from mfslam import se2
@@ -15,6 +14,7 @@ from mfslam.deskew import deskew
 from mfslam.icp import CELL_M, reference_table
 from mfslam.kernels import align
 from mfslam.types import DeskewedScan, FloatArray, Scan
+from paper.rig import Drive, settings_of, wheel_twists
 
 ITERATIONS = 15
 RADIUS_M = 0.5  # partners are sought this far, at every iteration
@@ -108,7 +108,7 @@ def converge(pairs: list[Pair], method: Method, guess_kind: str) -> Convergence:
         for k, pose in enumerate(iterate(pair, method, pair.guess(guess_kind))):
             placed = se2.transform(pose, source.points_m)
             off = (placed - true)[known]
-            near, _ = tree.query(placed, distance_upper_bound=RADIUS_M)
+            near = np.asarray(tree.query(placed, distance_upper_bound=RADIUS_M)[0])
             near = near[np.isfinite(near)]
             squares[:, k] += np.sum(off[:, 0] ** 2), np.sum(off[:, 1] ** 2), np.sum(near**2)
             counts[:, k] += len(off), len(near)

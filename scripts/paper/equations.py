@@ -9,8 +9,6 @@ import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from paper.rig import MOUNT, RANGE_MAX_M, WHEELS, paper_laser
-from paper.section import Effort, Section
 
 from mfslam import se2
 from mfslam.config import DeskewConfig
@@ -18,6 +16,8 @@ from mfslam.deskew import beam_times_s, deskew
 from mfslam.kernels import align
 from mfslam.kinematics import body_twist, move
 from mfslam.types import FloatArray, Scan
+from paper.rig import MOUNT, RANGE_MAX_M, WHEELS, paper_laser
+from paper.section import Effort, Section
 
 V_M_S, W_RAD_S = 3.0, 2.0  # the case that slips are measured at
 CYCLE_S = 0.1  # c_T: one control cycle, here as long as one turn of the laser
@@ -50,8 +50,7 @@ def printed_step(pose: FloatArray, speed_m_s: float, yaw_rate_rad_s: float, cycl
 
 def mended_step(pose: FloatArray, speed_m_s: float, yaw_rate_rad_s: float, cycle_s: float) -> FloatArray:
     """Eq. 12 with the factor c_T that it lacks, and still the heading of the end for all of the way."""
-    there = printed_step(pose, speed_m_s * cycle_s, yaw_rate_rad_s * cycle_s, 1.0)
-    return np.asarray(there)
+    return printed_step(pose, speed_m_s * cycle_s, yaw_rate_rad_s * cycle_s, 1.0)
 
 
 def printed_heading_rate(yaw_rate_rad_s: float, cycle_s: float) -> float:
@@ -61,23 +60,24 @@ def printed_heading_rate(yaw_rate_rad_s: float, cycle_s: float) -> float:
 
 def printed_beam_times(angles_rad: FloatArray, turn_s: float) -> FloatArray:
     """Eq. 15 with t_s = t_ND = 0: instants (N,) of beams at bearings (N,)."""
-    return angles_rad / (2.0 * math.pi) * turn_s
+    return np.asarray(angles_rad / (2.0 * math.pi) * turn_s)
 
 
 def printed_interpolation(before: FloatArray, after: FloatArray, share: float) -> FloatArray:
     """Eq. 16: x, y and heading one by one."""
-    return np.asarray(before + share * (after - before))
+    between: FloatArray = before + share * (after - before)
+    return between
 
 
 def printed_hits(pose: FloatArray, ranges_m: FloatArray, angles_rad: FloatArray) -> FloatArray:
     """Eqs. 17, 18, 41, 42: end points (N, 2) in the world of beams sensed from the body's pose (3,)."""
     bearing = pose[2] + angles_rad
-    return pose[:2] + ranges_m[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+    return np.asarray(pose[:2] + ranges_m[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1))
 
 
 def printed_distance_errors(speed_m_s: float, turn_s: float, beams: int) -> FloatArray:
     """Eq. 19: e_d (N,) of each beam, n(D_t) counting the beams up to it."""
-    return speed_m_s * turn_s / beams * np.arange(beams)
+    return np.asarray(speed_m_s * turn_s / beams * np.arange(beams))
 
 
 def printed_compensation(
@@ -86,7 +86,7 @@ def printed_compensation(
     """Eqs. 20-24: points (N, 2) on the laser, from the greatest range d_L and e_d (N,)."""
     faster = speed_m_s > range_max_m / turn_s  # eq. 20
     ranges = np.abs(range_max_m + errors_m if faster else range_max_m - errors_m)
-    return ranges[:, None] * np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=-1)
+    return np.asarray(ranges[:, None] * np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=-1))
 
 
 def printed_rotation(d: FloatArray, m: FloatArray) -> FloatArray:
@@ -208,10 +208,19 @@ PLAIN = """Used as printed: (1-3) nearest partners, `kernels.align.point_to_poin
 
 def run(effort: Effort) -> Section:
     found = slips()
-    lines = ["| eq. | the paper prints | exact | where | case | apart |", "| --- | --- | --- | --- | --- | --- |"]
+    lines = [
+        "| eq. | the paper prints | exact | where | case | apart |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
     lines += [
         f"| {s.number} | {s.printed} | {s.exact} | {s.lives_in} | {s.case} | {s.size:.3g} {s.unit} |"
         for s in found
     ]
-    body = "\n\n".join(["What slips in print, what is computed instead, and what each slip would cost.", "\n".join(lines), PLAIN])
+    body = "\n\n".join(
+        [
+            "What slips in print, what is computed instead, and what each slip would cost.",
+            "\n".join(lines),
+            PLAIN,
+        ]
+    )
     return Section("The equations", body, [], {"slips": [asdict(s) for s in found]})

@@ -5,8 +5,9 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
+
 from paper.cases import Mapped, Setup, Task, map_all, mean_error
-from paper.rig import H, SQUARE
+from paper.rig import SQUARE, H
 from paper.section import Claim, Effort, Section
 
 SEEDS, QUICK_SEEDS = (1, 2), (1,)
@@ -57,7 +58,9 @@ def run(effort: Effort) -> Section:
         _table(groups),
     ]
     measured = {
-        f"{world}: {name}": [{"seed": m.task.seed, "loops": m.loops, "cpu_s": m.cpu_s, **vars(m.error)} for m in group]
+        f"{world}: {name}": [
+            {"seed": m.task.seed, "loops": m.loops, "cpu_s": m.cpu_s, **vars(m.error)} for m in group
+        ]
         for (world, name), group in groups.items()
     }
     return Section("The graph on top", "\n\n".join(body), claims, measured)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from paper.rig import Drive, rms
 
 from mfslam import metrics, se2
 from mfslam.config import DeskewConfig
 from mfslam.deskew import deskew
 from mfslam.types import FloatArray, IntArray, Scan
+from paper.rig import Drive, rms
 
 CELL_M = 0.1  # of wall, along it
 MIN_POINTS = 10  # a mean of fewer says more of their noise than of the wall
@@ -59,16 +59,16 @@ def wall_cells(drive: Drive) -> WallCells:
         nearer = off < best
         best[nearer], wall[nearer], along[nearer] = off[nearer], k, u[nearer]
     met = best < 1e-6
-    most = 1 + int(np.max(np.hypot(*np.diff(drive.world.segments.reshape(-1, 2, 2), axis=1)[:, 0].T)) / CELL_M)
+    most = 1 + int(
+        np.max(np.hypot(*np.diff(drive.world.segments.reshape(-1, 2, 2), axis=1)[:, 0].T)) / CELL_M
+    )
     cell = np.where(met, wall * most + (along / CELL_M).astype(np.int64), -1)
     ends = drive.world.segments[wall]
     direction = ends[:, 2:] - ends[:, :2]
     direction /= np.hypot(*direction.T)[:, None]
     shape = drive.ranges_m.shape
     normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
-    return WallCells(
-        cell.reshape(shape), ends[:, :2].reshape(*shape, 2).copy(), normal.reshape(*shape, 2)
-    )
+    return WallCells(cell.reshape(shape), ends[:, :2].reshape(*shape, 2).copy(), normal.reshape(*shape, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +82,7 @@ class MapPoints:
     poses: FloatArray
 
     @staticmethod
-    def of(
-        scans: Sequence[Scan], poses: FloatArray, twists: FloatArray, settings: DeskewConfig
-    ) -> MapPoints:
+    def of(scans: Sequence[Scan], poses: FloatArray, twists: FloatArray, settings: DeskewConfig) -> MapPoints:
         clouds = [deskew(scan, twist, settings) for scan, twist in zip(scans, twists, strict=True)]
         return MapPoints(
             np.concatenate([cloud.points_m for cloud in clouds]),

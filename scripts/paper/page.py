@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from paper.rig import MOUNT, RANGE_MAX_M, WHEELS, paper_laser, paper_robot
-
 import mfslam
+from paper.rig import MOUNT, RANGE_MAX_M, WHEELS, paper_laser, paper_robot
 
 _FIGURE = re.compile(r"\]\(([\w-]+\.(?:png|svg))\)")
 

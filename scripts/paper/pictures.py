@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
-from paper.rig import Drive
+from PIL import Image
 
 from drivers.simulator import World
 from mfslam.types import FloatArray
+from paper.rig import Drive
 
 BLUE, VERMILION, GREEN, ORANGE, GREY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#777777"
 SERIES = [VERMILION, ORANGE, BLUE, GREEN]
@@ -32,18 +33,14 @@ class ScanTriple:
 
 
 def _figure(height_in: float) -> Figure:
-    figure = Figure(figsize=(WIDTH_IN, height_in), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=(WIDTH_IN, height_in), dpi=DPI, layout="constrained")
 
 
 def _save(figure: Figure, path: Path) -> None:
     """As a picture of few colours: a third of the size. No date inside: the same runs give the same bytes."""
-    from PIL import Image
-
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png")
+    picture = Image.open(drawn).convert("RGB")
     picture.quantize(160, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
@@ -96,7 +93,9 @@ def draw_by_beam(angles_deg: FloatArray, curves_m: Mapping[str, FloatArray], pat
 
 
 def draw_walls(axes: Axes, world: World, colour: str = "black", width: float = 0.9) -> None:
-    axes.add_collection(LineCollection(list(world.segments.reshape(-1, 2, 2)), colors=colour, linewidths=width))
+    axes.add_collection(
+        LineCollection(list(world.segments.reshape(-1, 2, 2)), colors=colour, linewidths=width)
+    )
     for x, y, radius in world.circles:
         axes.add_patch(Circle((x, y), radius, fill=False, color=colour, lw=width))
     corners = world.segments.reshape(-1, 2)

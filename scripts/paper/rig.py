@@ -9,9 +9,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from drivers.simulator import LaserModel, Motion, RobotModel, Simulation, World, drive, laser_model
+from drivers.simulator import LaserModel, Motion, RobotModel, Simulation, World, drive, laser_model, simulate
 from drivers.simulator import load_world as world_named
-from drivers.simulator import simulate
 from drivers.simulator.simulate import cast_scans
 from mfslam import config, se2
 from mfslam.config import Config, WheelsConfig
