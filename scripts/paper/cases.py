@@ -11,7 +11,7 @@ import numpy as np
 
 from mfslam.types import FloatArray
 from paper.map_error import MapError, MapPoints, map_error
-from paper.rig import PAPER_SYSTEM, drive_through, run_engine, settings_of
+from paper.rig import drive_through, run_engine, settings_of
 
 PICTURE_POINTS = 60_000
 
@@ -25,11 +25,24 @@ class Setup:
     settings: tuple[str, ...] = ()
 
 
-# the paper matches whole scans: nothing is thinned
-_PAPER = (*PAPER_SYSTEM, "icp.point_spacing_m=0")
-CONVENTIONAL = Setup("conventional ICP", ("conventional-icp",), _PAPER)
-MOTION_FREE = Setup("motion-free ICP", ("motion-free-icp",), _PAPER)
+# ICP and wheels, nothing more; whole scans
+_PAPER = ("loops.use=false", "refine.passes=0", "refine.localise=false", "icp.point_spacing_m=0")
+# the closed form of the paper knows no prior: wheels so unsure that they start a match and hold nothing
+_GUESS_ONLY = (
+    *(
+        "odometry.sigma_translation_per_m=10",
+        "odometry.sigma_lateral_per_m=10",
+        "odometry.sigma_rotation_per_m=10",
+    ),
+    *("odometry.sigma_floor_m=1", "odometry.sigma_floor_rad=1"),
+)
+CONVENTIONAL = Setup("conventional ICP", ("conventional-icp",), (*_PAPER, *_GUESS_ONLY))
+MOTION_FREE = Setup("motion-free ICP", ("motion-free-icp",), (*_PAPER, *_GUESS_ONLY))
+CONVENTIONAL_HELD = Setup("conventional ICP, wheels as prior", ("conventional-icp",), _PAPER)
+MOTION_FREE_HELD = Setup("motion-free ICP, wheels as prior", ("motion-free-icp",), _PAPER)
 MFSLAM = Setup("mfslam, defaults")
+MAP_SETUPS = (CONVENTIONAL, MOTION_FREE, MFSLAM)
+ALL_SETUPS = (CONVENTIONAL, MOTION_FREE, CONVENTIONAL_HELD, MOTION_FREE_HELD, MFSLAM)
 
 
 @dataclass(frozen=True)

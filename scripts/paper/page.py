@@ -81,7 +81,7 @@ The paper gives no dimensions; these are ours.
 | square aisle | `drivers/simulator/worlds/square-aisle.world`: 24 m a side, 2.4 m wide, niches, pillars; sides driven at 1, 2, 3 and 1 m/s after a rest |
 | H aisle | `h-aisle.world`: two aisles of 26 m joined by a bar of 18 m, 2.4 m wide; 1 m/s, turn right, 3 m/s, 1 m/s, and home the same way |
 | robot | differential drive, tracks {WHEELS.track_m:g} m apart, wheels of {1e3 * WHEELS.radius_left_m:g} mm, {WHEELS.ticks_per_turn:g} pulses a turn read at {robot.encoder_rate_hz:g} Hz |
-| wrong with it | radii {100 * robot.radius_error_left:+.1f} and {100 * robot.radius_error_right:+.1f} %, track {100 * robot.track_error:+.0f} %, slip {1e3 * robot.slip_m_per_sqrt_m:g} mm per root metre and wheel: not told to the engine |
+| wrong with it | radii (left, right; in every other log the other way round) {100 * robot.radius_error_left:+.1f} and {100 * robot.radius_error_right:+.1f} %, track {100 * robot.track_error:+.0f} %, slip {1e3 * robot.slip_m_per_sqrt_m:g} mm per root metre and wheel: not told to the engine |
 | limits | {robot.acceleration_m_s2:g} m/s², {robot.max_yaw_rate_rad_s:g} rad/s |
 | laser | URG-04LX: {len(laser.angles_rad)} beams over 240 deg, {1e3 * float(laser.offsets_s.max()):.1f} ms of a turn of {1e3 * model.period_s:g} ms, {RANGE_MAX_M:g} m, noise {100 * laser.range_sigma_m:g} cm (one sigma), steps of 1 mm, {MOUNT[0]:g} m ahead of the axle |
 | gyro, compass | none: the wheels are enough to show the point |"""

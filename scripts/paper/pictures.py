@@ -184,7 +184,7 @@ def draw_maps(world: World, maps: Mapping[str, FloatArray], path: Path) -> None:
     """Points (P, 2) of several maps over the true walls, side by side."""
     figure = _figure(3.9)
     for axes, (title, points_m) in zip(figure.subplots(1, len(maps), sharey=True), maps.items(), strict=True):
-        axes.plot(*points_m[::4].T, ",", color=BLUE)
+        axes.plot(*points_m[::2].T, ",", color=BLUE)
         draw_walls(axes, world, VERMILION, 0.6)
         axes.set_title(title, fontsize=9)
     figure.axes[0].set_ylabel("y, m")

@@ -23,17 +23,19 @@ SQUARE, H = "square-aisle", "h-aisle"
 RANGE_MAX_M = 4.0  # as the paper has it
 MOUNT = (0.1, 0.0, 0.0)  # body_T_laser: the paper tells none
 WHEELS = WheelsConfig(radius_left_m=0.077, radius_right_m=0.077, track_m=0.33, ticks_per_turn=256)
-PAPER_SYSTEM = ("loops.use=false", "refine.passes=0", "refine.localise=false")  # ICP on wheels, nothing more
+RADIUS_ERRORS = (0.002, -0.001)  # left, right
 
 
-def paper_robot() -> RobotModel:
-    """Tracked robot with 256 pulses per turn, read at 50 Hz; radii, track and grip a little off."""
+def paper_robot(mirrored: bool = False) -> RobotModel:
+    """Robot with 256 pulses per turn, read at 50 Hz; radii, track and grip a little off. ``mirrored``: the
+    wheels' errors the other way round."""
+    errors = (RADIUS_ERRORS[1], RADIUS_ERRORS[0]) if mirrored else RADIUS_ERRORS
     return RobotModel(
         wheels=WHEELS,
         max_speed_m_s=3.0,
         odometry="ticks",
-        radius_error_left=0.002,
-        radius_error_right=-0.001,
+        radius_error_left=errors[0],
+        radius_error_right=errors[1],
         track_error=0.01,
         slip_m_per_sqrt_m=0.002,
     )
@@ -62,7 +64,6 @@ class Drive:
     """
 
     world: World
-    robot: RobotModel
     laser: LaserModel
     motion: Motion
     world_T_body: FloatArray
@@ -72,8 +73,10 @@ class Drive:
     hits_m: FloatArray
 
     def log(self, seed: int) -> Simulation:
-        """The log of this drive, noise drawn from ``seed``."""
-        return simulate(self.world, self.robot, self.laser, seed=seed, motion=self.motion)
+        """The log of this drive, noise drawn from ``seed``. Every other log has the errors of left and right
+        wheel the other way round: no figure is to owe its size to their sign."""
+        robot = paper_robot(mirrored=seed % 2 == 0)
+        return simulate(self.world, robot, self.laser, seed=seed, motion=self.motion)
 
     def exact_scans(self, stamps_ns: Sequence[int]) -> list[Scan]:
         """The scans without noise of the ranges."""
@@ -86,7 +89,7 @@ class Drive:
 @lru_cache(maxsize=4)
 def drive_through(name: str, first_s: float | None = None) -> Drive:
     """The paper's robot on the path of a shipped world, or on the ``first_s`` seconds of it."""
-    world, robot, laser = world_named(name), paper_robot(), paper_laser()
+    world, laser, robot = world_named(name), paper_laser(), paper_robot()
     motion = drive(world, robot)
     if first_s is not None:
         last = int(np.searchsorted(motion.times_s, first_s))
@@ -99,9 +102,7 @@ def drive_through(name: str, first_s: float | None = None) -> Drive:
     at_beams = se2.compose(motion.at(instants[:, None] + spec.offsets_s), spec.body_T_laser)
     hits = se2.transform(at_beams, in_laser[:, :, None, :])[:, :, 0]
     poses = motion.at(instants)
-    return Drive(
-        world, robot, laser, motion, poses, instants, ranges, se2.transform(se2.inverse(poses), hits), hits
-    )
+    return Drive(world, laser, motion, poses, instants, ranges, se2.transform(se2.inverse(poses), hits), hits)
 
 
 def true_twists(drive: Drive) -> FloatArray:

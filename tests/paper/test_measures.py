@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from paper.convergence import CONVENTIONAL, GUESSES, METHODS, MOTION_FREE, converge, iterate, pairs_of
+from paper.displacement import ErrorFigures, displacements, mean_by_beam, steady_scans
 from paper.map_error import MapPoints, map_error, wall_cells
 from paper.rig import SQUARE, Drive, drive_through, rms, true_twists
-from paper.scan_error import ErrorFigures, displacements, mean_by_beam, steady_scans
 
 from mfslam import se2
 from mfslam.config import DeskewConfig
