@@ -1,0 +1,164 @@
+"""Beyond the paper: where motion-free ICP stops working, and what takes over."""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+
+from paper import beyond_pages as pages
+from paper.beyond_conditions import ACCELERATION_M_S2, LATERAL_M_S2, YAW_ACCELERATION_RAD_S2, Condition
+from paper.beyond_figures import draw_frontier, draw_panels
+from paper.beyond_logs import LogOutcome, logs_at_hand, map_log
+from paper.beyond_plan import BASE, QUICK, Plan
+from paper.beyond_runs import (
+    CONVENTIONAL,
+    ENGINE,
+    LOST_DEG,
+    LOST_M,
+    MOTION_FREE,
+    NO_ODOMETRY,
+    NO_WHEELS,
+    Measured,
+    Method,
+    measure,
+)  # fmt: skip
+from paper.section import Claim, Effort, Section
+
+FRONTIER_PNG, SCANS_PNG, FAULTS_PNG = "beyond-frontier.png", "beyond-scans.png", "beyond-faults.png"
+LOG_VARIANTS: dict[str, tuple[str, ...]] = {
+    "wheels": (),
+    "no wheels, snapshots": (*NO_ODOMETRY, "deskew.mode=none"),
+    "no wheels, twist of the match": NO_ODOMETRY,
+}
+
+Results = dict[Condition, Measured]
+
+
+def run(effort: Effort) -> Section:
+    """All drives and logs, mapped in all ways."""
+    plan = QUICK if effort.quick else Plan()
+    results, logs = run_all(plan, effort.jobs)
+    if effort.figures is not None:
+        draw(effort.figures, results, plan)
+    return Section(
+        title="Beyond it: where motion-free ICP stops working, and what takes over",
+        body=body(results, logs, plan),
+        claims=claims(results, plan),
+        measured={"drives": [asdict(m) for m in results.values()], "logs": [asdict(o) for o in logs]},
+    )
+
+
+def run_all(plan: Plan, jobs: int) -> tuple[Results, list[LogOutcome]]:
+    """Every drive and every log at hand, in ``jobs`` processes."""
+    drives = plan.drives()
+    with ProcessPoolExecutor(jobs) as pool:
+        logs = [
+            pool.submit(map_log, path, variant, settings, plan.max_scans)
+            for path in logs_at_hand()[: plan.max_logs]
+            for variant, settings in LOG_VARIANTS.items()
+        ]
+        measured = list(pool.map(measure, drives.keys(), drives.values()))
+        return dict(zip(drives, measured, strict=True)), [log.result() for log in logs]
+
+
+def draw(folder: Path, results: Results, plan: Plan) -> None:
+    draw_frontier(folder / FRONTIER_PNG, pages.heat_rows(results, plan))
+    draw_panels(folder / SCANS_PNG, [pages.scan_panels(results, plan)], 3.3)
+    draw_panels(folder / FAULTS_PNG, pages.fault_panels(results, plan), 4.6)
+
+
+def claims(results: Results, plan: Plan) -> list[Claim]:
+    """What this section says in the page's table of claims."""
+    grid = plan.grid()
+    usable = {
+        m.name: {c for c in grid if pages.is_usable(results[c].of(m))}
+        for m in (CONVENTIONAL, MOTION_FREE, ENGINE, NO_WHEELS)
+    }
+
+    def share(method: Method) -> str:
+        return f"{len(usable[method.name])} of {len(grid)}"
+
+    latest = plan.late(False)[-1]
+    told, first = results[plan.late(True)[-1]].of(ENGINE), results[plan.late(False)[0]].of(ENGINE)
+    late = results[latest].of(ENGINE)
+    return [
+        Claim(
+            "Motion-free ICP is free of the robot's motion: also at up to 6 m/s and 4 rad/s, 5 to 40 Hz",
+            f"of use in {share(MOTION_FREE)} drives; conventional ICP in {share(CONVENTIONAL)}",
+            len(usable[MOTION_FREE.name]) == len(grid),
+            "it fails where a turn of the laser sees more motion than ICP finds its way back from",
+        ),
+        Claim(
+            "What takes over: the whole engine maps whatever motion-free ICP alone maps, and more",
+            f"of use in {share(ENGINE)} drives, without wheels in {share(NO_WHEELS)}",
+            usable[ENGINE.name] > usable[MOTION_FREE.name],
+            "search, then loops and the second pass; see the ladder",
+        ),
+        Claim(
+            "A transport delay that is known costs nothing",
+            f"{1000 * latest.delay_s:g} ms at 2 rad/s: ATE {pages.in_cm(told.ate_m)} cm {told.ate_deg:.2f} deg told, "
+            f"{pages.in_cm(late.ate_m)} cm {late.ate_deg:.2f} deg not told, "
+            f"{pages.in_cm(first.ate_m)} cm {first.ate_deg:.2f} deg without any",
+            told.ate_m <= 1.2 * first.ate_m and told.ate_deg <= 1.2 * first.ate_deg,
+            "nobody tells the wheels' motion at the wrong time any more",
+        ),
+    ]
+
+
+def body(results: Results, logs: list[LogOutcome], plan: Plan) -> str:
+    """The section in markdown."""
+    frontier = pages.heat_rows(results, plan)
+    snapshot, ranged = (results[plan.base].scan_error_m[mode] for mode in ("none", "range"))
+    return f"""A hall of 46 m by 24 m, a robot that can do it ({ACCELERATION_M_S2:g} m/s2 forward, {LATERAL_M_S2:g} m/s2 in
+bends, {YAW_ACCELERATION_RAD_S2:g} rad/s2), a laser of 360 deg and 20 m with 2 cm of noise whose scans take the whole turn. Two drives: a
+lap of the hall, and turns in place on a straight way. One factor is changed at a time; else wheels
+are {100 * BASE.radius_error:g} % wrong in radius and track, read to 1/{BASE.ticks_per_turn} turn, slipping {1000 * BASE.slip_m_per_sqrt_m:g} mm per root m. Errors are those
+of the body at the instants when scans were really sensed, so a delay is no error by itself. Every drive is
+made once, with one seed: single cells near the border may fall on either side.
+
+- *conventional*, *motion-free ICP*: the paper's two, alone: no search, no loops, no second pass;
+- *whole engine*: default settings but `odometry.max_speed_m_s=10` (by default wheels faster than 5 m/s are taken for a jump);
+- of use: ATE up to {pages.USABLE_M:g} m and {pages.USABLE_DEG:g} deg. A step of the front end has failed when it is off by more than
+  {LOST_M:g} m or {LOST_DEG:g} deg. Blur: 5 cm cells that the keyframes' points hit, over those that they truly hit.
+
+### Where it stops
+
+![ATE over motion and sensor rate]({FRONTIER_PNG})
+
+ATE in cm; the line is the border of what is of use. Up to where every drive is:
+
+{pages.reach_table(frontier)}
+
+### What takes over
+
+The same drives with one more stage from left to right: ATE in cm (failed steps of the front end), of use in bold.
+
+{pages.ladder_table(results, plan)}
+
+{pages.detail_table(results, plan)}
+
+### What is left of the scans' own error
+
+![Error left in a scan]({SCANS_PNG})
+
+The displacement of a scan's points against where they truly hit, seen from the stamp: without noise, so it is all
+systematic. At 3 m/s a snapshot is wrong by {pages.in_cm(snapshot)} cm, the paper's range variant by {pages.in_cm(ranged)} cm: one
+number along the beam is right ahead of the robot, has the wrong sign behind it, and knows nothing of turns.
+
+### Delays and encoders
+
+![ATE and blur over faults]({FAULTS_PNG})
+
+### Odometry taken away
+
+{logs_body(logs)}
+"""
+
+
+def logs_body(logs: list[LogOutcome]) -> str:
+    if not logs:
+        return "Recorded logs with their odometry taken away: none at hand, left out."
+    return f"""Recorded logs, whole, default settings of their sensors; `odometry.use=false` takes the wheels away.
+
+{pages.logs_table(logs)}"""

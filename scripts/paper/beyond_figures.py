@@ -1,0 +1,139 @@
+"""Beyond the paper: where each way to map stops working, drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
+
+from mfslam.types import BoolArray, FloatArray
+
+WIDTH_IN = 9.0
+COLOURS = ("#000000", "#E69F00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9")  # Okabe and Ito
+BORDER = "#D55E00"
+MARKERS = ("o", "s", "^", "D", "v", "P")
+
+
+@dataclass(frozen=True)
+class Heat:
+    """One heat map: ``ate_m`` and ``usable`` (rows, columns); rows are sensor rates, columns what the robot does."""
+
+    title: str
+    ate_m: FloatArray
+    usable: BoolArray
+
+
+@dataclass(frozen=True)
+class HeatRow:
+    """Heat maps of every method over the same axes."""
+
+    maps: Sequence[Heat]
+    columns: Sequence[float]
+    columns_label: str
+    rates_hz: Sequence[float]
+
+
+def draw_frontier(path: Path, rows: Sequence[HeatRow]) -> None:
+    """ATE over motion and sensor rate for every method; a line around what is of use."""
+    methods = len(rows[0].maps)
+    figure = Figure(figsize=(WIDTH_IN, 2.35 * len(rows) + 0.5), layout="constrained")
+    axes = figure.subplots(len(rows), methods, squeeze=False, sharey=True)
+    norm = LogNorm(0.003, 3.0)
+    image = None
+    for line, row in zip(axes, rows, strict=True):
+        for axis, heat in zip(line, row.maps, strict=True):
+            image = axis.imshow(heat.ate_m, cmap="cividis", norm=norm, aspect="auto", origin="lower")
+            _write_cells(axis, heat.ate_m)
+            _outline(axis, heat.usable)
+            axis.set_title(heat.title, fontsize=9)
+            axis.set_xticks(range(len(row.columns)), [f"{c:g}" for c in row.columns])
+            axis.set_yticks(range(len(row.rates_hz)), [f"{r:g}" for r in row.rates_hz])
+            axis.set_xlabel(row.columns_label, fontsize=8)
+            axis.tick_params(labelsize=8, length=0)
+        line[0].set_ylabel("turns of the laser, Hz", fontsize=8)
+    assert image is not None
+    bar = figure.colorbar(image, ax=axes, fraction=0.03, pad=0.01)
+    bar.set_label("trajectory error (ATE, RMS), m", fontsize=8)
+    bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    bar.ax.tick_params(labelsize=8)
+    figure.savefig(path, dpi=130)
+
+
+def _write_cells(axis: Axes, ate_m: FloatArray) -> None:
+    for (r, c), value in np.ndenumerate(ate_m):
+        text = f"{100.0 * value:.1f}" if value < 0.0995 else f"{100.0 * value:.0f}"
+        axis.text(c, r, text, ha="center", va="center", fontsize=7, color="white" if value < 0.1 else "black")
+
+
+def _outline(axis: Axes, usable: BoolArray) -> None:
+    """The border between cells of use and the others."""
+    rows, columns = usable.shape
+    lines: list[tuple[list[float], list[float]]] = []
+    for r in range(rows):
+        for c in range(columns):
+            if c + 1 < columns and usable[r, c] != usable[r, c + 1]:
+                lines.append(([c + 0.5, c + 0.5], [r - 0.5, r + 0.5]))
+            if r + 1 < rows and usable[r, c] != usable[r + 1, c]:
+                lines.append(([c - 0.5, c + 0.5], [r + 0.5, r + 0.5]))
+    for x, y in lines:
+        axis.plot(x, y, color=BORDER, linewidth=2.2, solid_capstyle="butt")
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Curves over one factor, by name. ``ticks``: texts below evenly spaced points instead of numbers."""
+
+    title: str
+    x_label: str
+    x: Sequence[float]
+    curves: dict[str, Sequence[float]]
+    ticks: Sequence[str] | None = None
+    y_label: str = ""
+    limit: float | None = None
+
+
+def draw_panels(path: Path, rows: Sequence[Sequence[Panel]], height_in: float) -> None:
+    """Rows of panels, each row with one logarithmic y axis; one legend for all."""
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    axes = figure.subplots(len(rows), len(rows[0]), sharey="row", squeeze=False)
+    names = list(dict.fromkeys(name for row in rows for panel in row for name in panel.curves))
+    for line, row in zip(axes, rows, strict=True):
+        for axis, panel in zip(line, row, strict=True):
+            _draw_panel(axis, panel, names)
+        line[0].set_ylabel(row[0].y_label, fontsize=8)
+    found = [axis.get_legend_handles_labels() for axis in axes.flat]
+    handles = {label: curve for curves, labels in found for curve, label in zip(curves, labels, strict=True)}
+    figure.legend(
+        handles.values(),
+        handles.keys(),
+        loc="outside upper center",
+        ncols=len(handles),
+        fontsize=8,
+        frameon=False,
+    )
+    figure.savefig(path, dpi=130)
+
+
+def _draw_panel(axis: Axes, panel: Panel, names: Sequence[str]) -> None:
+    x = list(range(len(panel.x))) if panel.ticks else panel.x
+    for name, values in panel.curves.items():
+        n = names.index(name)
+        axis.plot(x, values, color=COLOURS[n], marker=MARKERS[n], markersize=4, linewidth=1.5, label=name)
+    if panel.ticks:
+        axis.set_xticks(x, panel.ticks)
+    if panel.limit is not None:
+        axis.axhline(panel.limit, color=BORDER, linewidth=1.0, linestyle="--")
+    axis.set_yscale("log")
+    axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.yaxis.set_minor_formatter(NullFormatter())
+    axis.set_title(panel.title, fontsize=8)
+    axis.set_xlabel(panel.x_label, fontsize=8)
+    axis.tick_params(labelsize=7)
+    axis.grid(which="major", alpha=0.35)
+    axis.spines[["top", "right"]].set_visible(False)

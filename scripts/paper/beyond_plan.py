@@ -1,0 +1,115 @@
+"""Beyond the paper: which drives are made, and which of them are mapped in which ways."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from paper.beyond_conditions import Condition
+from paper.beyond_runs import ENGINE, FRONTIER, LADDER, MOTION_FREE, NO_WHEELS, Method
+
+BASE = Condition()
+SPIN = Condition(drive="spins", yaw_rate_rad_s=2.0)
+HARD = {
+    "3 m/s, 10 Hz": BASE,
+    "6 m/s, 10 Hz": replace(BASE, speed_m_s=6.0),
+    "6 m/s, 5 Hz": replace(BASE, speed_m_s=6.0, rate_hz=5.0),
+    "4 rad/s, 10 Hz": replace(SPIN, yaw_rate_rad_s=4.0),
+    "4 rad/s, 5 Hz": replace(SPIN, yaw_rate_rad_s=4.0, rate_hz=5.0),
+    "2 rad/s, stamps 150 ms late": replace(SPIN, delay_s=0.15),
+    "3 m/s with 16 m/s2, 10 Hz": Condition(drive="surge", surge_m_s2=16.0),
+    "3 m/s, wheels slip 5 cm per root m": replace(BASE, slip_m_per_sqrt_m=0.05),
+    "3 m/s, wheels 10 % too small": replace(BASE, radius_error=0.1),
+}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Values of every factor. ``share``: of each drive's length; ``max_scans``: of each recorded log;
+    ``max_logs``: so many of them."""
+
+    slowest_m_s: float = 0.5
+    speeds_m_s: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    yaw_rates_rad_s: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0)
+    rates_hz: tuple[float, ...] = (5.0, 10.0, 20.0, 40.0)
+    delays_s: tuple[float, ...] = (0.0, 0.02, 0.05, 0.1, 0.15)
+    pulses: tuple[int, ...] = (2048, 512, 256, 128, 64, 32)
+    slips: tuple[float, ...] = (0.001, 0.01, 0.02, 0.05)
+    wheel_errors: tuple[float, ...] = (0.0, 0.02, 0.05, 0.1)
+    hard: tuple[str, ...] = tuple(HARD)
+    share: float = 1.0
+    max_scans: int | None = None
+    max_logs: int | None = None
+
+    def lap(self, speed_m_s: float, rate_hz: float) -> Condition:
+        return replace(BASE, speed_m_s=speed_m_s, rate_hz=rate_hz, share=self.share)
+
+    def spin(self, yaw_rate_rad_s: float, rate_hz: float) -> Condition:
+        return replace(SPIN, yaw_rate_rad_s=yaw_rate_rad_s, rate_hz=rate_hz, share=self.share)
+
+    @property
+    def base(self) -> Condition:
+        return replace(BASE, share=self.share)
+
+    @property
+    def turning(self) -> Condition:
+        return replace(SPIN, share=self.share)
+
+    def late(self, known: bool) -> list[Condition]:
+        return [replace(self.turning, delay_s=delay, delay_known=known) for delay in self.delays_s]
+
+    def quantised(self) -> list[Condition]:
+        return [replace(self.turning, ticks_per_turn=pulses) for pulses in self.pulses]
+
+    def slipping(self) -> list[Condition]:
+        return [replace(self.base, slip_m_per_sqrt_m=slip) for slip in self.slips]
+
+    def too_small(self) -> list[Condition]:
+        return [replace(self.base, radius_error=error) for error in self.wheel_errors]
+
+    def too_wide(self) -> list[Condition]:
+        return [replace(self.turning, track_error=error) for error in self.wheel_errors]
+
+    def grid(self) -> list[Condition]:
+        """Laps and turns at every speed and every rate of the laser."""
+        laps = [self.lap(v, rate) for v in self.speeds_m_s for rate in self.rates_hz]
+        return laps + [self.spin(w, rate) for w in self.yaw_rates_rad_s for rate in self.rates_hz]
+
+    def hard_drives(self) -> dict[str, Condition]:
+        return {name: replace(HARD[name], share=self.share) for name in self.hard}
+
+    def drives(self) -> dict[Condition, list[Method]]:
+        """Every drive once, with all ways in which it is mapped; the longest first."""
+        wanted: dict[Condition, dict[str, Method]] = {}
+
+        def want(conditions: Iterable[Condition], methods: Iterable[Method]) -> None:
+            for condition in conditions:
+                wanted.setdefault(condition, {}).update({m.name: m for m in methods})
+
+        slow_first = [self.slowest_m_s, *self.speeds_m_s]
+        want(self.grid(), FRONTIER)
+        want((self.lap(v, BASE.rate_hz) for v in slow_first), (ENGINE, NO_WHEELS))
+        want((self.spin(w, BASE.rate_hz) for w in self.yaw_rates_rad_s), (ENGINE, NO_WHEELS))
+        want((self.base, self.turning), (NO_WHEELS,))  # which no fault of the wheels or of the clocks changes
+        faults = [*self.quantised(), *self.slipping(), *self.too_small(), *self.too_wide()]
+        want((*self.late(False), *self.late(True), *faults), (MOTION_FREE, ENGINE))
+        want(self.late(True), (NO_WHEELS,))  # whose poses stand for another instant of each scan
+        want(self.hard_drives().values(), LADDER)
+        in_order = sorted(wanted, key=lambda c: -c.rate_hz / min(c.speed_m_s, c.yaw_rate_rad_s))
+        return {condition: list(wanted[condition].values()) for condition in in_order}
+
+
+QUICK = Plan(
+    slowest_m_s=2.0,
+    speeds_m_s=(3.0, 6.0),
+    yaw_rates_rad_s=(2.0,),
+    rates_hz=(10.0,),
+    delays_s=(0.0, 0.15),
+    pulses=(32,),
+    slips=(0.05,),
+    wheel_errors=(0.1,),
+    hard=("3 m/s, 10 Hz",),
+    share=0.25,
+    max_scans=60,
+    max_logs=1,
+)
