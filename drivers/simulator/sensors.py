@@ -39,6 +39,17 @@ class LaserModel:
     mixed_share: float = 0.0
 
 
+def stamped_at_first(model: LaserModel) -> LaserModel:
+    """The same laser whose scans bear the instant of the beam that is sensed first, as ROS logs have it."""
+    first_s = float(model.laser.offsets_s.min())
+
+    def shifted(laser: Laser) -> Laser:
+        return dataclasses.replace(laser, offsets_s=laser.offsets_s - first_s)
+
+    reported = None if model.reported is None else shifted(model.reported)
+    return dataclasses.replace(model, laser=shifted(model.laser), reported=reported)
+
+
 @dataclass(frozen=True)
 class _Delivery:
     """What a preset leaves to the log: geometry told, rate of scans, resolution, fate of lost beams."""

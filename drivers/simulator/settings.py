@@ -42,7 +42,7 @@ class LaserSettings(BaseModel):
     scan_rate_hz: float | None = Field(
         None, gt=0, description="Scans per second, the mirror turning accordingly, Hz. Null: the model's."
     )
-    reversed_beams: bool = Field(False, description="It turns against the order of its beams.")
+    reversed_beams: bool = Field(False, description="It turns the other way than the model does.")
     range_max_m: float | None = Field(None, gt=0, description="It sees so far, m. Null: as the model.")
     range_sigma_m: float | None = Field(
         None, ge=0, description="One-sigma noise of one range, m. Null: the model's."

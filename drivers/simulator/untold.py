@@ -23,10 +23,15 @@ def map_arguments(log: Path, kind: Format, settings: Settings) -> list[str]:
     for stage, needed in (("sensor", _sensor(kind, settings)), ("wheels", _wheels(kind, settings))):
         known = getattr(assumed, stage)
         for key, value in needed.items():
-            if (getattr(known, key) or 0.0) != value:  # a mount that is not set is 0
-                text = value if isinstance(value, str) else f"{value:.9g}"
-                arguments += ["--set", f"{stage}.{key}={text}"]
+            if (getattr(known, key) or 0) != value:  # a mount that is not set is 0
+                arguments += ["--set", f"{stage}.{key}={_text(value)}"]
     return arguments
+
+
+def _text(value: bool | float | str) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return value if isinstance(value, str) else f"{value:.9g}"
 
 
 def _sensor(kind: Format, settings: Settings) -> dict[str, Any]:
@@ -38,12 +43,13 @@ def _sensor(kind: Format, settings: Settings) -> dict[str, Any]:
         "stamp_at": own.stamp_at,
     }
     turn_s = laser_timing(laser.name)[0] * laser.stretch
-    if kind.startswith("ros"):  # LaserScan tells the timing, its stamp is that of the first beam
-        needed["stamp_at"] = "first"
+    if kind.startswith(
+        "ros"
+    ):  # LaserScan tells the timing: rays as they are sensed, the stamp that of the first
+        needed |= {"stamp_at": "first", "reversed_beams": False}
         return needed | ({} if own.turn_period_s is None else {"turn_period_s": turn_s})
     needed["turn_period_s"] = turn_s
-    if laser.reversed_beams:
-        needed["reversed_beams"] = "true"
+    needed["reversed_beams"] = own.reversed_beams != laser.reversed_beams
     if kind == "urg-text":
         x, y, yaw = laser.told_mount
         needed |= {"mount_x_m": x, "mount_y_m": y, "mount_yaw_deg": yaw}
@@ -58,6 +64,5 @@ def _wheels(kind: Format, settings: Settings) -> dict[str, Any]:
     needed: dict[str, Any] = {key: getattr(robot.wheels, key) for key in keys}
     if kind == "urg-text":
         needed["ticks_per_turn"] = robot.wheels.ticks_per_turn
-        if robot.wheels.swap_sides:
-            needed["swap_sides"] = "true"
+        needed["swap_sides"] = robot.wheels.swap_sides
     return needed

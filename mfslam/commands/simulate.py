@@ -17,7 +17,7 @@ import numpy as np
 from drivers.simulator import HIT_KINDS, Simulation, World, beam_truth, laser_model_names, simulate
 from drivers.simulator.catalog import OFFICE, load_world, world_names, world_text
 from drivers.simulator.robot import ROBOTS
-from drivers.simulator.sensors import LaserModel
+from drivers.simulator.sensors import LaserModel, stamped_at_first
 from drivers.simulator.settings import Settings, describe, load_settings
 from drivers.simulator.untold import map_arguments
 from drivers.simulator.world import DEFAULT_SPEED_M_S
@@ -64,6 +64,8 @@ def run(args: argparse.Namespace) -> int:
     with _prepared(targets, args.overwrite):
         progress.tell(f"simulating {world.name} ...")
         laser = settings.laser.model()
+        if kind.startswith("ros"):
+            laser = stamped_at_first(laser)
         simulation = simulate(world, settings.robot, laser, seed=args.seed, faults=settings.faults)
         progress.tell("writing ...")
         findings = _write(simulation, world, laser, settings, kind, targets)
