@@ -19,7 +19,7 @@ STRAIGHT_M, BEND_M = 20.0, 6.0  # of the lap: two straights, two half circles
 LAP_M = 2.0 * STRAIGHT_M + 2.0 * math.pi * BEND_M
 OVERLAP_M = 12.0  # the end of a drive goes once more over its beginning
 ACCELERATION_M_S2, LATERAL_M_S2 = 4.0, 6.5
-YAW_RATE_RAD_S, YAW_ACCELERATION_RAD_S2 = 4.0, 16.0
+YAW_RATE_RAD_S, YAW_ACCELERATION_RAD_S2 = 4.0, 8.0
 SPINS = 4
 
 

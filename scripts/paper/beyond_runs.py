@@ -19,6 +19,7 @@ from mfslam.metrics import ate, crispness
 from mfslam.odometry import OdometryTrack
 from mfslam.slam import Slam, Solution
 from mfslam.types import DeskewedScan, FloatArray, IntArray, Odometry
+from paper import cases
 from paper.beyond_conditions import Condition, hall, laser, motion, robot
 
 LOST_M, LOST_DEG = 0.1, 2.0  # a step of the front end from scan to scan that is farther off has failed
@@ -28,14 +29,9 @@ MAX_SCANS = 60  # whose beams are compared with the truth one by one
 DeskewMode = Literal["none", "range", "pose"]
 MODES: tuple[DeskewMode, ...] = get_args(DeskewMode)
 
-# Nothing but registration: no search when a fit is poor, no loops, no second pass
-ALONE = (
-    "frontend.search_window_m=0.001",
-    "frontend.search_angle_deg=0.001",
-    "loops.use=false",
-    "refine.passes=0",
-    "refine.localise=false",
-)
+NO_SEARCH = ("frontend.search_window_m=0.001", "frontend.search_angle_deg=0.001")
+NO_LOOPS = ("loops.use=false",)
+NO_SECOND_PASS = ("refine.passes=0", "refine.localise=false")
 FAST = ("odometry.max_speed_m_s=10",)  # the hall's robot is faster than what wheels are believed by default
 NO_ODOMETRY = ("odometry.use=false",)
 
@@ -59,9 +55,12 @@ def _config(presets: tuple[str, ...], given: tuple[str, ...]) -> Config:
     return settings.load(paths, [*FAST, *given])
 
 
-CONVENTIONAL = Method("conventional ICP", ("conventional-icp",), ALONE)
-RANGE = Method("range variant", ("motion-free-icp",), (*ALONE, "deskew.mode=range"))
-MOTION_FREE = Method("motion-free ICP", ("motion-free-icp",), ALONE)
+CONVENTIONAL = Method(
+    cases.CONVENTIONAL.name, cases.CONVENTIONAL.presets, (*cases.CONVENTIONAL.settings, *NO_SEARCH)
+)
+MOTION_FREE = Method(
+    cases.MOTION_FREE.name, cases.MOTION_FREE.presets, (*cases.MOTION_FREE.settings, *NO_SEARCH)
+)
 ENGINE = Method("whole engine")
 NO_WHEELS = Method("whole engine, no wheels", (), NO_ODOMETRY)
 FRONTIER = (CONVENTIONAL, MOTION_FREE, ENGINE, NO_WHEELS)
@@ -70,9 +69,10 @@ FRONTIER = (CONVENTIONAL, MOTION_FREE, ENGINE, NO_WHEELS)
 LADDER = (
     CONVENTIONAL,
     MOTION_FREE,
-    Method("point to line", (), ALONE),
-    Method("+ search", (), ALONE[2:]),
-    Method("+ loops", (), ALONE[3:]),
+    Method("+ wheels hold", MOTION_FREE.presets, (*cases.MOTION_FREE_HELD.settings, *NO_SEARCH)),
+    Method("point to line", (), (*NO_SEARCH, *NO_LOOPS, *NO_SECOND_PASS)),
+    Method("+ search", (), (*NO_LOOPS, *NO_SECOND_PASS)),
+    Method("+ loops", (), NO_SECOND_PASS),
     ENGINE,
     NO_WHEELS,
 )
@@ -133,7 +133,7 @@ class Truth:
         self.world_T_reference = self.motion.at(instants_s + hidden_s)
         moving = np.flatnonzero(np.abs(self.motion.twist_at(instants_s + hidden_s)).max(axis=1) > 0.1)
         self.compared = moving[np.linspace(0, len(moving) - 1, min(MAX_SCANS, len(moving))).astype(np.int64)]
-        self._exact_ranges_m = cast_scans(world, self.motion, self.sensor, instants_s[self.compared])
+        self.exact_ranges_m = cast_scans(world, self.motion, self.sensor, instants_s[self.compared])
 
     def exact_points(self, n: int, ranges_m: FloatArray, beams: IntArray) -> FloatArray:
         """Points (M, 2) of beams (M,) of scan ``n``, each from the true pose at its instant, in the body frame at
@@ -150,7 +150,7 @@ class Truth:
     def scan_error_m(self, twists: FloatArray, mode: DeskewMode) -> float:
         """RMS displacement of the points that compensation by ``twists`` (S, 3) leaves; no noise of ranges in it."""
         squares = []
-        for n, ranges_m in zip(self.compared, self._exact_ranges_m, strict=True):
+        for n, ranges_m in zip(self.compared, self.exact_ranges_m, strict=True):
             exact = replace(self.scans[n], ranges_m=ranges_m.astype(np.float32))
             cloud = deskew(exact, twists[n], DeskewConfig(mode=mode))
             off = cloud.points_m - self.exact_points(n, ranges_m, cloud.beams)
