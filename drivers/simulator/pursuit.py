@@ -8,6 +8,7 @@ from numba import njit
 from mfslam.types import FloatArray
 
 SAMPLE_M = 0.05
+CREEP_M_S = 0.1  # it drives no slower, short of braking
 ROUNDING_M = 0.8  # a corner is rounded over about this length before and after it
 BRAKING_SHARE = 0.7  # of the acceleration: what the speed profile counts on, the rest is reserve
 
@@ -47,7 +48,7 @@ def speed_profile(
     speed = np.minimum(limits, np.sqrt(lateral_acceleration / np.maximum(curvature, 1e-9)))
     speed = np.minimum(speed, 0.9 * max_yaw_rate / np.maximum(curvature, 1e-9))
     speed = np.minimum(speed, np.sqrt(yaw_acceleration / np.maximum(change, 1e-9)))
-    speed = np.maximum(speed, 0.1)
+    speed = np.maximum(speed, CREEP_M_S)
     speed[-1] = 0.0
     for i in range(len(ds) - 1, -1, -1):
         speed[i] = min(speed[i], math.sqrt(speed[i + 1] ** 2 + 2.0 * BRAKING_SHARE * acceleration * ds[i]))
@@ -95,7 +96,7 @@ def follow(
             v_goal = 0.0
             w_goal = math.copysign(min(max_yaw_rate, math.sqrt(yaw_acceleration * abs(off))), off)
         else:
-            v_goal = max(speed[i], 0.1)
+            v_goal = max(speed[i], CREEP_M_S)
             w_goal = 2.0 * v * math.sin(off) / max(math.hypot(dx, dy), 0.05)
             w_goal += 2.0 * off * max(0.0, 1.0 - 2.0 * v)  # at walking pace also turn towards the target
         v += min(max(v_goal - v, -acceleration * dt), acceleration * dt)

@@ -10,12 +10,13 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, with_config
 
 from drivers.simulator.motion import Motion
-from drivers.simulator.pursuit import follow, rounded_path, speed_profile
+from drivers.simulator.pursuit import CREEP_M_S, follow, rounded_path, speed_profile
 from drivers.simulator.world import World
 from mfslam import se2
 from mfslam.config import WheelsConfig
 from mfslam.types import FloatArray, MfslamError
 
+_LONGEST_M, _LONGEST_S = 1e5, 2e5  # of a path between two pauses: what fits into memory
 TICK_S = 0.01  # the twist of a driven motion is constant for this long
 
 
@@ -42,7 +43,7 @@ class RobotModel:
         AfterValidator(_no_reader_settings),
         Field(description="The nominal geometry, known to whoever reads the log."),
     ] = field(default_factory=lambda: WheelsConfig(track_m=0.33, radius_left_m=0.077, radius_right_m=0.077))
-    max_speed_m_s: Annotated[_Positive, Field(description="Highest speed, m/s.")] = 3.0
+    max_speed_m_s: Annotated[float, Field(ge=CREEP_M_S, description="Highest speed, m/s.")] = 3.0
     acceleration_m_s2: Annotated[_Positive, Field(description="Highest acceleration and braking, m/s^2.")] = (
         2.0
     )
@@ -155,6 +156,12 @@ def _drive_leg(world: World, robot: RobotModel, pose: FloatArray, first: int, la
     points, speeds = world.path_m[first : last + 1], world.speeds_m_s[first : last + 1]
     if not np.any(np.diff(points, axis=0)):
         return np.zeros((0, 3))
+    length_m = float(np.sum(np.hypot(*np.diff(points, axis=0).T)))
+    if length_m > _LONGEST_M or length_m > _LONGEST_S * np.min(np.minimum(speeds, robot.max_speed_m_s)):
+        raise MfslamError(
+            f"{world.name}: a path of {length_m:.3g} m at {np.min(speeds):g} m/s: expected at most "
+            f"{_LONGEST_M:g} m and {_LONGEST_S:g} s"
+        )
     path, limits = rounded_path(points, np.minimum(speeds, robot.max_speed_m_s))
     s, speed = speed_profile(
         path,

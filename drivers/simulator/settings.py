@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from drivers.simulator.faults import Faults
 from drivers.simulator.robot import ROBOTS, RobotModel
-from drivers.simulator.sensors import LaserModel, laser_model, laser_model_names, laser_preset, laser_timing
+from drivers.simulator.sensors import LaserModel, laser_model, laser_model_names, laser_timing
 from mfslam.config import WheelsConfig, _overlay, _parse_setting, _read_yaml
 from mfslam.types import MfslamError
 
@@ -170,7 +170,11 @@ def _checked(merged: dict[str, Any], origin: dict[tuple[str, ...], str]) -> Sett
     if problems:
         raise MfslamError("\n".join(problems))
     settings = Settings(**parts)
-    laser_preset(settings.laser.name)  # an unknown name is told here
+    laser = settings.laser.model().laser  # an unknown name is told here
+    if laser.range_max_m <= laser.range_min_m:
+        raise MfslamError(
+            f"laser.range_max_m: expected more than the model's least range, {laser.range_min_m:g} m"
+        )
     _refuse_idle(settings)
     return settings
 

@@ -26,6 +26,7 @@ from functools import cached_property
 import numpy as np
 
 from drivers.simulator.grid import Grid, grid_over
+from drivers.simulator.pursuit import CREEP_M_S
 from mfslam.types import FloatArray, MfslamError
 
 GLASS_MIN_COS = math.cos(math.radians(15.0))
@@ -165,7 +166,8 @@ class _Draft:
 
     def add_path(self, v: list[float]) -> None:
         speed = v[2] if len(v) > 2 else (self.speeds[-1] if self.speeds else self.default_speed_m_s)
-        _positive(speed=speed)
+        if speed < CREEP_M_S:
+            raise ValueError(f"the speed must be at least {CREEP_M_S:g} m/s, got {speed:g}")
         self.path.append((v[0], v[1]))
         self.speeds.append(speed)
         self.pauses.append(0.0)

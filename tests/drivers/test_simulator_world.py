@@ -75,7 +75,7 @@ def test_without_a_start_the_robot_looks_along_its_path():
         ("person 0.2 0 0 0 1 1", "speed must be more than 0"),
         ("person 0.2 1 0 0 1 1 2", "even count"),
         ("person 0.2 1 3 3 3 3", "all the same"),
-        ("path 0 0 0", "speed must be more than 0"),
+        ("path 0 0 0", "speed must be at least 0.1 m/s"),
         ("pause 1", "path point above"),
         ("start 0 0 0\nstart 0 0 0", "second start"),
     ],
