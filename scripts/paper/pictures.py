@@ -138,6 +138,7 @@ def draw_world(
     scans.set_ylim(*box_m[2:])
     scans.set_aspect("equal")
     scans.set_xlabel("x, m")
+    scans.set_ylabel("y, m")
     scans.set_title("scans from the true poses, dotted frame", fontsize=10)
     scans.legend(loc="lower left", markerscale=5, fontsize=8)
     profile.plot(times, speed, color=BLUE, label="speed, m/s")
