@@ -20,6 +20,7 @@ from mfslam.slam import Slam, Solution
 from mfslam.types import Findings, FloatArray, Message, Scan
 
 SQUARE, H = "square-aisle", "h-aisle"
+SPOKEN = {SQUARE: "square aisle", H: "H aisle"}
 RANGE_MAX_M = 4.0  # as the paper has it
 MOUNT = (0.1, 0.0, 0.0)  # body_T_laser: the paper tells none
 WHEELS = WheelsConfig(radius_left_m=0.077, radius_right_m=0.077, track_m=0.33, ticks_per_turn=256)

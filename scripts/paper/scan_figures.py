@@ -15,7 +15,7 @@ from mfslam.deskew import deskew
 from mfslam.types import FloatArray, Scan
 from paper import pictures
 from paper.displacement import SPEEDS_M_S, VARIANTS, mean_by_beam, steady_scans
-from paper.rig import SQUARE, Drive, H, drive_through, settings_of, wheel_twists
+from paper.rig import SPOKEN, SQUARE, Drive, H, drive_through, settings_of, wheel_twists
 
 BOXES_M = {
     SQUARE: (14.8, 24.8, 15.0, 25.0),
@@ -59,7 +59,7 @@ def draw(
         pictures.draw_world(world, _overlay(world, OVERLAY_M), BOXES_M[name], folder / f"{name}.png")
         body += [
             f"![{name}]({name}.png)",
-            f"*Figures 10 and {11 if name == SQUARE else 15}, the {name.replace('-', ' ').replace('h ', 'H ')}: the route by speed, scans as snapshots on "
+            f"*Figures 10 and {11 if name == SQUARE else 15}, the {SPOKEN[name]}: the route by speed, scans as snapshots on "
             "top of where their hits truly are, and the speed over time.*",
         ]
     return body
