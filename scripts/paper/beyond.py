@@ -96,12 +96,13 @@ def claims(results: Results, plan: Plan) -> list[Claim]:
             "search, then loops and the second pass; see the ladder",
         ),
         Claim(
-            "A transport delay that is known costs nothing",
+            "A transport delay does no harm once it is known",
             f"{1000 * latest.delay_s:g} ms at 2 rad/s: ATE {pages.in_cm(told.ate_m)} cm {told.ate_deg:.2f} deg told, "
             f"{pages.in_cm(late.ate_m)} cm {late.ate_deg:.2f} deg not told, "
             f"{pages.in_cm(first.ate_m)} cm {first.ate_deg:.2f} deg without any",
-            told.ate_m <= 1.2 * first.ate_m and told.ate_deg <= 1.2 * first.ate_deg,
-            "nobody tells the wheels' motion at the wrong time any more",
+            told.ate_m <= 1.5 * first.ate_m < late.ate_m
+            and told.ate_deg <= 1.5 * first.ate_deg < late.ate_deg,
+            "told: within 1.5 times the errors without delay, which untold it exceeds; the engine does not find it out",
         ),
     ]
 
@@ -117,7 +118,8 @@ are {100 * BASE.radius_error:g} % wrong in radius and track, read to 1/{BASE.tic
 of the body at the instants when scans were really sensed, so a delay is no error by itself. Every drive is
 made once, with one seed: single cells near the border may fall on either side.
 
-- *conventional*, *motion-free ICP*: the paper's two, alone: no search, no loops, no second pass;
+- *conventional*, *motion-free ICP*: the paper's two, alone: the wheels start a match and hold nothing; no search, no loops, no
+  second pass;
 - *whole engine*: default settings but `odometry.max_speed_m_s=10` (by default wheels faster than 5 m/s are taken for a jump);
 - of use: ATE up to {pages.USABLE_M:g} m and {pages.USABLE_DEG:g} deg. A step of the front end has failed when it is off by more than
   {LOST_M:g} m or {LOST_DEG:g} deg. Blur: 5 cm cells that the keyframes' points hit, over those that they truly hit.
@@ -136,7 +138,11 @@ The same drives with one more stage from left to right: ATE in cm (failed steps 
 
 {pages.ladder_table(results, plan)}
 
+<details><summary>Every figure of these drives</summary>
+
 {pages.detail_table(results, plan)}
+
+</details>
 
 ### What is left of the scans' own error
 
@@ -150,15 +156,38 @@ number along the beam is right ahead of the robot, has the wrong sign behind it,
 
 ![ATE and blur over faults]({FAULTS_PNG})
 
+{faults_body(results, plan)}
+
 ### Odometry taken away
 
 {logs_body(logs)}
 """
 
 
+def faults_body(results: Results, plan: Plan) -> str:
+    """What the picture of faults shows, in numbers."""
+    slip = results[plan.slipping()[-1]]
+    small = results[plan.too_small()[-1]]
+    coarse = results[plan.quantised()[-1]]
+    free = results[plan.base].of(NO_WHEELS)
+
+    def pair(measured: Measured) -> str:
+        alone, engine = measured.of(MOTION_FREE), measured.of(ENGINE)
+        return f"{pages.in_cm(alone.ate_m)} cm alone, {pages.in_cm(engine.ate_m)} cm in the whole engine"
+
+    return f"""With radii {100 * plan.wheel_errors[-1]:g} % too small ATE is {pair(small)}; with {plan.pulses[-1]} pulses per
+turn {pair(coarse)}. Where wheels slip by {100 * plan.slips[-1]:g} cm per root m, compensating by them
+leaves {pages.in_cm(slip.scan_error_m["pose"])} cm in a scan, a snapshot {pages.in_cm(slip.scan_error_m["none"])} cm: {pair(slip)},
+and {pages.in_cm(free.ate_m)} cm when the engine is not given the wheels at all. No fault of the wheels changes a map made
+without them: its curves are one run, drawn for comparison (but for the known delay, where the poses stand for
+other instants)."""
+
+
 def logs_body(logs: list[LogOutcome]) -> str:
     if not logs:
         return "Recorded logs with their odometry taken away: none at hand, left out."
-    return f"""Recorded logs, whole, default settings of their sensors; `odometry.use=false` takes the wheels away.
+    return f"""Recorded logs, default settings of their sensors; `odometry.use=false` takes the wheels away. Relations: mean errors
+against hand-verified ones. Cells and entropy are those of all hits: fewer and lower is crisper, and where there are no
+relations they are all there is to judge by.
 
 {pages.logs_table(logs)}"""

@@ -96,10 +96,11 @@ class Panel:
     ticks: Sequence[str] | None = None
     y_label: str = ""
     limit: float | None = None
+    logarithmic: bool = True
 
 
 def draw_panels(path: Path, rows: Sequence[Sequence[Panel]], height_in: float) -> None:
-    """Rows of panels, each row with one logarithmic y axis; one legend for all."""
+    """Rows of panels, each row with one y axis; one legend for all."""
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     axes = figure.subplots(len(rows), len(rows[0]), sharey="row", squeeze=False)
     names = list(dict.fromkeys(name for row in rows for panel in row for name in panel.curves))
@@ -129,9 +130,10 @@ def _draw_panel(axis: Axes, panel: Panel, names: Sequence[str]) -> None:
         axis.set_xticks(x, panel.ticks)
     if panel.limit is not None:
         axis.axhline(panel.limit, color=BORDER, linewidth=1.0, linestyle="--")
-    axis.set_yscale("log")
+    if panel.logarithmic:
+        axis.set_yscale("log")
+        axis.yaxis.set_minor_formatter(NullFormatter())
     axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.yaxis.set_minor_formatter(NullFormatter())
     axis.set_title(panel.title, fontsize=8)
     axis.set_xlabel(panel.x_label, fontsize=8)
     axis.tick_params(labelsize=7)

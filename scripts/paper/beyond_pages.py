@@ -137,7 +137,7 @@ def fault_panels(results: Results, plan: Plan) -> list[list[Panel]]:
         blur = {name: [o.blur for o in outcomes] for name, outcomes in by_method.items()}
         ticks = [f"{v:g}" for v in values]
         rows[0].append(Panel(title, "", values, dict(ate_m), ticks, "ATE (RMS), m", USABLE_M))
-        rows[1].append(Panel("", label, values, dict(blur), ticks, "blur of the map"))
+        rows[1].append(Panel("", label, values, dict(blur), ticks, "blur of the map", 1.0, False))
     return rows
 
 

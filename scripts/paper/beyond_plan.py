@@ -33,7 +33,7 @@ class Plan:
     yaw_rates_rad_s: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0)
     rates_hz: tuple[float, ...] = (5.0, 10.0, 20.0, 40.0)
     delays_s: tuple[float, ...] = (0.0, 0.02, 0.05, 0.1, 0.15)
-    pulses: tuple[int, ...] = (2048, 512, 256, 128, 64, 32)
+    pulses: tuple[int, ...] = (2048, 256, 128, 64, 32)
     slips: tuple[float, ...] = (0.001, 0.01, 0.02, 0.05)
     wheel_errors: tuple[float, ...] = (0.0, 0.02, 0.05, 0.1)
     hard: tuple[str, ...] = tuple(HARD)
