@@ -142,6 +142,12 @@ def test_reach_ends_at_the_first_drive_of_no_use(usable: list[bool], expected: s
     assert beyond_pages.reach(np.array([usable]), (1.0, 2.0, 3.0), 0) == expected
 
 
+def test_lost_drives_are_named_by_rate() -> None:
+    spins = [Condition(drive="spins", yaw_rate_rad_s=w, rate_hz=5.0) for w in (3.0, 4.0)]
+    assert beyond_pages.named([Condition(speed_m_s=6.0), *spins]) == "6 m/s at 10 Hz; 3, 4 rad/s at 5 Hz"
+    assert beyond_pages.named([]) == "none"
+
+
 def test_logs_that_are_absent_are_left_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("MFSLAM_DATA", str(tmp_path))
     assert beyond_logs.logs_at_hand() == []

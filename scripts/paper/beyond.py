@@ -79,6 +79,9 @@ def claims(results: Results, plan: Plan) -> list[Claim]:
     def share(method: Method) -> str:
         return f"{len(usable[method.name])} of {len(grid)}"
 
+    def lost(method: Method) -> str:
+        return pages.named([c for c in grid if c not in usable[method.name]])
+
     latest = plan.late(False)[-1]
     told, first = results[plan.late(True)[-1]].of(ENGINE), results[plan.late(False)[0]].of(ENGINE)
     late = results[latest].of(ENGINE)
@@ -87,13 +90,13 @@ def claims(results: Results, plan: Plan) -> list[Claim]:
             "Motion-free ICP is free of the robot's motion: also at up to 6 m/s and 4 rad/s, 5 to 40 Hz",
             f"of use in {share(MOTION_FREE)} drives; conventional ICP in {share(CONVENTIONAL)}",
             len(usable[MOTION_FREE.name]) == len(grid),
-            "it fails where a turn of the laser sees more motion than ICP finds its way back from",
+            f"not of use: {lost(MOTION_FREE)}",
         ),
         Claim(
             "What takes over: the whole engine maps whatever motion-free ICP alone maps, and more",
             f"of use in {share(ENGINE)} drives, without wheels in {share(NO_WHEELS)}",
             usable[ENGINE.name] > usable[MOTION_FREE.name],
-            "search, then loops and the second pass; see the ladder",
+            f"not of use: {lost(ENGINE)}; without wheels: {lost(NO_WHEELS)}",
         ),
         Claim(
             "A transport delay does no harm once it is known",

@@ -84,6 +84,19 @@ def reach_table(rows: Sequence[HeatRow]) -> str:
     return table(head, lines)
 
 
+def named(conditions: Sequence[Condition]) -> str:
+    """Drives of the grid in words, by rate of the laser: "3, 4 rad/s at 5 Hz"."""
+    groups: dict[tuple[str, float], list[float]] = {}
+    for c in conditions:
+        unit, value = ("m/s", c.speed_m_s) if c.drive == "lap" else ("rad/s", c.yaw_rate_rad_s)
+        groups.setdefault((unit, c.rate_hz), []).append(value)
+    texts = [
+        f"{', '.join(f'{v:g}' for v in values)} {unit} at {rate:g} Hz"
+        for (unit, rate), values in groups.items()
+    ]
+    return "; ".join(texts) or "none"
+
+
 # --- the scans' own error --------------------------------------------------------------------------------
 
 
