@@ -153,8 +153,8 @@ def _cast_all(
                 if t < best:
                     best, what = t, standing + k
             for k in range(moving_circles.shape[2]):
-                q = moving_circles[i, j, k]
-                t = _ray_circle(ox, oy, dx, dy, q[0], q[1], q[2])
+                cx, cy, r = moving_circles[i, j, k, 0], moving_circles[i, j, k, 1], moving_circles[i, j, k, 2]
+                t = _ray_circle(ox, oy, dx, dy, cx, cy, r)
                 if t < best:
                     best, what = t, standing + doors + k
             if best > range_max:

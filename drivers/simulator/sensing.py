@@ -77,15 +77,17 @@ def _cast(
     spec = laser.laser
     times = instants_s[:, None] + spec.offsets_s
     world_T_laser = se2.compose(motion.at(times), spec.body_T_laser)
-    doors = [door.at(times) for door in world.doors]
-    people = [person.at(times) for person in world.people]
-    no_doors, no_people = np.empty((*times.shape, 0, 4)), np.empty((*times.shape, 0, 3))
+    doors, people = (
+        np.empty((*times.shape, len(world.doors), 4)),
+        np.empty((*times.shape, len(world.people), 3)),
+    )
+    for k, door in enumerate(world.doors):
+        doors[..., k, :] = door.at(times)
+    for k, person in enumerate(world.people):
+        people[..., k, :] = person.at(times)
     ranges, numbers = cast_and_name(
         *(world_T_laser, spec.angles_rad, world.segments, world.min_cos, world.circles),
-        np.stack(doors, axis=-2) if doors else no_doors,
-        np.stack(people, axis=-2) if people else no_people,
-        spec.range_max_m,
-        world.grid,
+        *(doors, people, spec.range_max_m, world.grid),
     )
     return world_T_laser, ranges, _kinds(world)[numbers]
 
