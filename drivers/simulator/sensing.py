@@ -13,11 +13,11 @@ from drivers.simulator.raycast import cast_and_name
 from drivers.simulator.sensors import LaserModel
 from drivers.simulator.world import World
 from mfslam import se2
-from mfslam.types import Float32Array, FloatArray
+from mfslam.types import Float32Array, FloatArray, IntArray
 
 HIT_KINDS = ("nothing", "wall", "glass", "pillar", "door", "person")
 _CHUNK_BEAMS = 200_000  # beams cast at once: bounds the memory
-_EDGE_M = 0.2  # neighbouring beams whose ranges differ by more have an edge between them
+_EDGE_M = 0.2  # things that neighbouring beams hit, farther apart than this, have an edge between them
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +37,10 @@ def beam_truth(world: World, motion: Motion, laser: LaserModel, instants_s: Floa
     """The truth of the scans sensed at ``instants_s`` (S,): no noise, no rounding. 33 bytes per beam."""
     shape = (len(instants_s), laser.laser.angles_rad.shape[0])
     truth = BeamTruth(np.empty((*shape, 3)), np.empty(shape), np.empty(shape, np.uint8))
+    kinds = _kinds(world)
     for part in _chunks(laser, len(instants_s)):
-        truth.world_T_laser[part], truth.ranges_m[part], truth.hits[part] = _cast(
-            world, motion, laser, instants_s[part]
-        )
+        poses, ranges, numbers = _cast(world, motion, laser, instants_s[part])
+        truth.world_T_laser[part], truth.ranges_m[part], truth.hits[part] = poses, ranges, kinds[numbers]
     return truth
 
 
@@ -59,9 +59,9 @@ def sense(
 ) -> Iterator[Float32Array]:
     """Ranges (B,) of each scan: every beam cast from the pose at its own instant, then the sensor's faults."""
     for part in _chunks(laser, len(instants_s)):
-        true_ranges = cast_scans(world, motion, laser, instants_s[part])
+        _, true_ranges, numbers = _cast(world, motion, laser, instants_s[part])
         if laser.mixed_share > 0.0:
-            true_ranges = _mixed(true_ranges, laser.mixed_share, edge_rng)
+            true_ranges = _mixed(true_ranges, numbers, laser.mixed_share, edge_rng)
         yield from _measured(true_ranges, laser, rng)
 
 
@@ -73,7 +73,8 @@ def _chunks(laser: LaserModel, scans: int) -> Iterator[slice]:
 
 def _cast(
     world: World, motion: Motion, laser: LaserModel, instants_s: FloatArray
-) -> tuple[FloatArray, FloatArray, npt.NDArray[np.uint8]]:
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Pose of the laser, true range and number of what is hit, at each beam."""
     spec = laser.laser
     times = instants_s[:, None] + spec.offsets_s
     world_T_laser = se2.compose(motion.at(times), spec.body_T_laser)
@@ -89,7 +90,7 @@ def _cast(
         *(world_T_laser, spec.angles_rad, world.segments, world.min_cos, world.circles),
         *(doors, people, spec.range_max_m, world.grid),
     )
-    return world_T_laser, ranges, _kinds(world)[numbers]
+    return world_T_laser, ranges, numbers
 
 
 def _kinds(world: World) -> npt.NDArray[np.uint8]:
@@ -105,10 +106,11 @@ def _kinds(world: World) -> npt.NDArray[np.uint8]:
     return np.concatenate([segments, *others]).astype(np.uint8)
 
 
-def _mixed(ranges: FloatArray, share: float, rng: np.random.Generator) -> FloatArray:
+def _mixed(ranges: FloatArray, numbers: IntArray, share: float, rng: np.random.Generator) -> FloatArray:
     """Beams beside an edge see partly this, partly that: a range anywhere between, for ``share`` of them."""
     with np.errstate(invalid="ignore"):  # inf - inf is no edge
         edge = np.abs(np.diff(ranges, axis=1)) > _EDGE_M
+    edge &= np.diff(numbers, axis=1) != 0  # one wall seen at a slant has none
     edge &= np.isfinite(ranges[:, 1:]) & np.isfinite(ranges[:, :-1])
     scans, beams = np.nonzero(edge)
     side = rng.integers(0, 2, len(scans))  # which of the two beams is the mixed one

@@ -185,3 +185,47 @@ def test_a_million_beams_per_cpu_second():
     cast_scans(world, motion, laser, np.arange(0.0, 45.0, 0.1))
     beams = 450 * 682
     assert beams / (time.process_time() - start) > 1e6
+
+
+def by_brute_force(world: World, poses: np.ndarray, bearings: np.ndarray, range_max: float) -> np.ndarray:
+    """Ranges of standing things, every beam against every one of them, no grid."""
+    o = poses[..., None, :2]
+    heading = (poses[..., 2] + bearings)[..., None]
+    dx, dy = np.cos(heading), np.sin(heading)
+    e = world.segments[:, 2:] - world.segments[:, :2]
+    w = world.segments[:, :2] - o
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cross = dx * e[:, 1] - dy * e[:, 0]
+        t = (w[..., 0] * e[:, 1] - w[..., 1] * e[:, 0]) / cross
+        u = (w[..., 0] * dy - w[..., 1] * dx) / cross
+    t = np.where((t > 0.0) & (u >= -1e-12) & (u <= 1.0 + 1e-12), t, np.inf)
+    c = world.circles[:, :2] - o
+    across, along = c[..., 0] * dy - c[..., 1] * dx, c[..., 0] * dx + c[..., 1] * dy
+    inside = world.circles[:, 2] ** 2 - across**2
+    near = along - np.sqrt(np.maximum(inside, 0.0))
+    discs = np.where((inside >= 0.0) & (near > 0.0), near, np.inf)
+    best = np.min(np.concatenate([t, discs], axis=-1), axis=-1)
+    return np.where(best <= range_max, best, np.inf)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**31), st.sampled_from([0.3, 3.0, 40.0, 4000.0]))
+def test_the_grid_changes_no_range(seed, size_m):
+    """Worlds of any size, from within, beside and far outside, along the axes and on the cells' borders."""
+    rng = np.random.default_rng(seed)
+    walls = rng.uniform(-size_m, size_m, (12, 4))
+    walls[:4] = np.round(walls[:4] * 2.0) / 2.0  # on borders
+    walls[4, 2], walls[5, 3] = walls[4, 0], walls[5, 1]  # along the axes
+    lines = ["wall " + " ".join(map(str, w)) for w in walls if tuple(w[:2]) != tuple(w[2:])]
+    lines += [f"pillar {x} {y} {r}" for x, y, r in np.abs(rng.uniform(0.01, size_m, (3, 3))) * [1, 1, 0.1]]
+    world = parse_world("\n".join(lines))
+    laser = ideal("generic")
+    laser = dataclasses.replace(laser, laser=dataclasses.replace(laser.laser, range_max_m=2.0 * size_m))
+    start = rng.uniform(-1.5 * size_m, 1.5 * size_m, 3)
+    if seed % 3 == 0:
+        start = np.array([round(start[0]), round(start[1]), 0.0])
+    motion = Motion.from_twists([1.0], [[size_m, 0.0, 1.0]], start)
+    times = laser.laser.offsets_s[None, :]
+    expected = by_brute_force(world, motion.at(times), laser.laser.angles_rad, 2.0 * size_m)
+    ranges = cast_scans(world, motion, laser, np.zeros(1))
+    np.testing.assert_allclose(ranges, expected, rtol=1e-9, atol=1e-9 * size_m)
