@@ -10,7 +10,7 @@ from drivers.simulator.sensors import stamped_at_first
 from drivers.simulator.simulate import START_NS
 from mfslam import se2
 from mfslam.config import WheelsConfig
-from mfslam.types import Imu, Odometry, Scan, WheelAngles, WheelTicks
+from mfslam.types import Imu, Odometry, WheelAngles, WheelTicks
 
 ROOM = parse_world("wall -9 -9 9 -9 9 9 -9 9 -9 -9\n", "room")
 ARC = Motion.from_twists(np.full(100, 0.1), np.tile([0.8, 0.0, 0.4], (100, 1)))
@@ -93,7 +93,7 @@ def test_after_a_restart_odometry_and_truth_tell_the_same_motion():
 
 
 def test_mixed_pixels_lie_between_the_surfaces_beside_an_edge():
-    world = parse_world("wall -9 -9 9 -9 9 9 -9 9 -9 -9\nwall 3 -1 3 1\n")
+    world = parse_world("wall -6 -6 6 -6 6 6 -6 6 -6 -6\nwall 3 -1 3 1\n")
     clean = dataclasses.replace(laser_model("generic"), noise=False, range_step_m=0.0)
     mixed = dataclasses.replace(clean, mixed_share=0.5)
     still = Motion.from_twists([30.0], [[0.0, 0.0, 0.0]])
