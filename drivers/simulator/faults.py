@@ -69,6 +69,11 @@ class Faults:
         ),
     ] = ()
 
+    @property
+    def spoils_stamps(self) -> bool:
+        """Whether scans come with other stamps than when they were sensed."""
+        return self.stamp_jitter_s > 0.0 or self.burst_scans > 1
+
 
 def outside(times_s: FloatArray, gaps: Intervals) -> BoolArray:
     """Which of the times (N,) lie in no gap."""
@@ -99,7 +104,8 @@ def spoilt_stamps(stamps_ns: IntArray, faults: Faults, rng: np.random.Generator)
     stamps = stamps_ns[last] + place % faults.burst_scans * _BURST_STEP_NS
     if faults.stamp_jitter_s > 0.0:
         stamps = stamps + np.rint(rng.normal(0.0, faults.stamp_jitter_s * 1e9, count)).astype(np.int64)
-    return stamps, np.maximum.accumulate(np.maximum(stamps_ns[last], stamps))
+    handed_over = np.maximum(stamps_ns[last], stamps)
+    return stamps, np.maximum.accumulate(handed_over - place) + place  # one after the other
 
 
 def awake(from_s: FloatArray, to_s: FloatArray, faults: Faults) -> BoolArray:

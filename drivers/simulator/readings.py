@@ -35,11 +35,12 @@ def wheel_messages(
     robot: RobotModel,
     faults: Faults,
     scan_stamps_ns: IntArray,
+    scan_arrivals_ns: IntArray,
     start_ns: int,
     rng: np.random.Generator,
     jitter_rng: np.random.Generator,
 ) -> tuple[list[Timed], FloatArray | None]:
-    """Wheel messages in order, and odom_T_body (S, 3) at the scans where the log carries poses."""
+    """Wheel messages, and odom_T_body (S, 3) at the scans where the log carries poses."""
     if robot.odometry == "none":
         return [], None
     own = np.array([start_ns], dtype=np.int64)
@@ -71,7 +72,10 @@ def wheel_messages(
         poses = reckoned_anew(poses, times, faults)
         messages = [Odometry(t, pose) for t, pose in _pick(stamps, poses, told)]
         poses = poses[np.searchsorted(read, scan_stamps_ns)]
-    return list(zip(read[told].tolist(), messages, strict=True)), poses
+    arrivals = read.copy()
+    if robot.encoder_rate_hz is None and faults.spoils_stamps:  # readings made for a scan come with it
+        arrivals[np.searchsorted(read, scan_stamps_ns)] = scan_arrivals_ns
+    return list(zip(arrivals[told].tolist(), messages, strict=True)), poses
 
 
 def _reading_ns(motion: Motion, rate_hz: float, phase_s: float = 0.0) -> IntArray:

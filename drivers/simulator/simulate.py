@@ -79,7 +79,9 @@ def simulate(
     instants, honest, stamps, arrivals = instants[whole], honest[whole], stamps[whole], arrivals[whole]
     if not len(instants):
         raise MfslamError(f"{world.name}: no scan fits into {motion.duration_s:g} s of driving")
-    timeline, odom_at_scans = wheel_messages(motion, robot, faults, stamps, start_ns, wheel_rng, encoder_rng)
+    timeline, odom_at_scans = wheel_messages(
+        motion, robot, faults, stamps, arrivals, start_ns, wheel_rng, encoder_rng
+    )
     timeline += gyro_messages(motion, robot, faults, start_ns, gyro_rng)
     told_stamps = stamps + clock_shift_ns(seconds_since(start_ns, stamps), faults)
     ranges = sense(world, motion, laser, instants, laser_rng, edge_rng)

@@ -10,7 +10,7 @@ from drivers.simulator.sensors import stamped_at_first
 from drivers.simulator.simulate import START_NS
 from mfslam import se2
 from mfslam.config import WheelsConfig
-from mfslam.types import Imu, Odometry, WheelAngles, WheelTicks
+from mfslam.types import Imu, Odometry, Scan, WheelAngles, WheelTicks
 
 ROOM = parse_world("wall -9 -9 9 -9 9 9 -9 9 -9 -9\n", "room")
 ARC = Motion.from_twists(np.full(100, 0.1), np.tile([0.8, 0.0, 0.4], (100, 1)))
@@ -161,3 +161,12 @@ def test_beam_truth_names_what_it_hit():
     assert seen[-50] == 4  # the door's leaf, still closed, from (2, -4) to (4, -4)
     assert seen[round(np.degrees(np.arctan2(-3.0, -1.0)))] == 5
     np.testing.assert_array_equal(truth.world_T_laser, np.zeros((1, 360, 3)))
+
+
+@pytest.mark.parametrize("faults", [Faults(stamp_jitter_s=0.05), Faults(burst_scans=3)])
+def test_readings_made_for_a_scan_come_just_before_it(faults):
+    """As a URG text log needs it: one line has a scan and its ticks."""
+    messages = run(faults, odometry="ticks", encoder_rate_hz=None).messages
+    assert len(messages) % 2 == 0
+    for ticks, scan in zip(messages[::2], messages[1::2], strict=True):
+        assert isinstance(ticks, WheelTicks) and isinstance(scan, Scan) and ticks.stamp_ns == scan.stamp_ns

@@ -10,6 +10,7 @@ import pytest
 from drivers.logs import default_presets, open_log
 from drivers.simulator import Motion, RobotModel, Simulation, laser_model, load_world, simulate
 from drivers.writers import FORMATS, write_log, write_relations, write_tum
+from drivers.writers.log import format_of, log_stem
 from mfslam import config, se2
 from mfslam.config import WheelsConfig
 from mfslam.metrics import read_relations, relations_error
@@ -322,3 +323,20 @@ def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path, name):
     with pytest.raises(MfslamError, match="cannot be written"):
         write_tum(tmp_path / "file" / "truth.tum", np.zeros(1, np.int64), np.zeros((1, 3)))
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "stem"),
+    [
+        ("a.clf", "carmen", "a"),
+        ("a.log.bz2", "carmen", "a"),
+        ("a.b.dat.gz", "urg-text", "a.b"),
+        ("a.bag", "ros1", "a"),
+        ("a.mcap", "ros2-mcap", "a"),
+        ("a.db3", "ros2-sqlite3", "a"),
+        ("a", "ros2-mcap", "a"),
+    ],
+)
+def test_suffix_tells_the_format(name, kind, stem):
+    assert format_of(Path(name)) == kind
+    assert log_stem(Path(name)) == stem
