@@ -18,7 +18,7 @@ if str(SCRIPTS) not in sys.path:
 from paper import beyond, beyond_logs, beyond_pages  # noqa: E402
 from paper.beyond_conditions import Condition, hall, laser, motion, ramps  # noqa: E402
 from paper.beyond_plan import QUICK  # noqa: E402
-from paper.beyond_runs import ENGINE, Outcome, Truth, run  # noqa: E402
+from paper.beyond_runs import ENGINE, NO_WHEELS, Outcome, Truth, drive_for, run  # noqa: E402
 from paper.section import Effort  # noqa: E402
 
 from drivers.simulator import Motion  # noqa: E402
@@ -139,13 +139,29 @@ def test_of_use_needs_both_position_and_heading() -> None:
     [([True, True, True], "3 (all)"), ([True, False, True], "1"), ([False, True, True], "none")],
 )
 def test_reach_ends_at_the_first_drive_of_no_use(usable: list[bool], expected: str) -> None:
-    assert beyond_pages.reach(np.array([usable]), (1.0, 2.0, 3.0), 0) == expected
+    assert beyond_pages.reach(np.array([usable]), ("1", "2", "3"), 0) == expected
 
 
 def test_lost_drives_are_named_by_rate() -> None:
     spins = [Condition(drive="spins", yaw_rate_rad_s=w, rate_hz=5.0) for w in (3.0, 4.0)]
     assert beyond_pages.named([Condition(speed_m_s=6.0), *spins]) == "6 m/s at 10 Hz; 3, 4 rad/s at 5 Hz"
     assert beyond_pages.named([]) == "none"
+
+
+def test_without_wheels_only_a_known_delay_makes_another_drive() -> None:
+    spoilt = Condition(delay_s=0.1, slip_m_per_sqrt_m=0.05, radius_error=0.1, ticks_per_turn=32)
+    assert drive_for(spoilt, NO_WHEELS) == Condition()
+    assert drive_for(spoilt, ENGINE) == spoilt
+    assert drive_for(replace(spoilt, delay_known=True), NO_WHEELS) == Condition(delay_s=0.1, delay_known=True)
+
+
+def test_without_wheels_their_faults_change_nothing() -> None:
+    short = Condition(speed_m_s=4.0, share=0.1)
+    spoilt = replace(short, delay_s=0.1, slip_m_per_sqrt_m=0.05, radius_error=0.1, ticks_per_turn=32)
+    outcomes = [asdict(run(Truth(condition), NO_WHEELS)) for condition in (spoilt, short)]
+    names = [outcome.pop("method") for outcome in outcomes]
+    assert names[0] == names[1]
+    assert outcomes[0] == pytest.approx(outcomes[1], rel=1e-6)
 
 
 def test_logs_that_are_absent_are_left_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -162,7 +178,7 @@ def test_short_version_measures_draws_and_says_what_it_found(
 ) -> None:
     monkeypatch.setenv("MFSLAM_DATA", str(tmp_path))
     section = beyond.run(Effort(quick=True, jobs=2, figures=tmp_path))
-    pictures = [beyond.FRONTIER_PNG, beyond.SCANS_PNG, beyond.FAULTS_PNG]
+    pictures = [beyond.FRONTIER_PNG, beyond.FAULT_FRONTIER_PNG, beyond.SCANS_PNG, beyond.FAULTS_PNG]
     for picture in pictures:
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
         assert f"]({picture})" in section.body

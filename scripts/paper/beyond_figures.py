@@ -22,7 +22,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 
 @dataclass(frozen=True)
 class Heat:
-    """One heat map: ``ate_m`` and ``usable`` (rows, columns); rows are sensor rates, columns what the robot does."""
+    """One heat map: ``ate_m`` and ``usable`` (rows, columns); columns are what the robot does."""
 
     title: str
     ate_m: FloatArray
@@ -34,16 +34,17 @@ class HeatRow:
     """Heat maps of every method over the same axes."""
 
     maps: Sequence[Heat]
-    columns: Sequence[float]
+    columns: Sequence[str]
     columns_label: str
-    rates_hz: Sequence[float]
+    lines: Sequence[str]
+    lines_label: str
 
 
 def draw_frontier(path: Path, rows: Sequence[HeatRow]) -> None:
-    """ATE over motion and sensor rate for every method; a line around what is of use."""
+    """ATE over two factors for every method; a line around what is of use."""
     methods = len(rows[0].maps)
     figure = Figure(figsize=(WIDTH_IN, 2.35 * len(rows) + 0.5), layout="constrained")
-    axes = figure.subplots(len(rows), methods, squeeze=False, sharey=True)
+    axes = figure.subplots(len(rows), methods, squeeze=False, sharey="row")
     norm = LogNorm(0.003, 3.0)
     image = None
     for line, row in zip(axes, rows, strict=True):
@@ -52,11 +53,11 @@ def draw_frontier(path: Path, rows: Sequence[HeatRow]) -> None:
             _write_cells(axis, heat.ate_m)
             _outline(axis, heat.usable)
             axis.set_title(heat.title, fontsize=9)
-            axis.set_xticks(range(len(row.columns)), [f"{c:g}" for c in row.columns])
-            axis.set_yticks(range(len(row.rates_hz)), [f"{r:g}" for r in row.rates_hz])
+            axis.set_xticks(range(len(row.columns)), row.columns)
+            axis.set_yticks(range(len(row.lines)), row.lines)
             axis.set_xlabel(row.columns_label, fontsize=8)
             axis.tick_params(labelsize=8, length=0)
-        line[0].set_ylabel("turns of the laser, Hz", fontsize=8)
+        line[0].set_ylabel(row.lines_label, fontsize=8)
     assert image is not None
     bar = figure.colorbar(image, ax=axes, fraction=0.03, pad=0.01)
     bar.set_label("trajectory error (ATE, RMS), m", fontsize=8)

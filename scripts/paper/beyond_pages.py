@@ -21,12 +21,18 @@ from paper.beyond_runs import (
     Measured,
     Method,
     Outcome,
+    drive_for,
 )
 
 USABLE_M, USABLE_DEG = 0.1, 2.0  # ATE of a trajectory that is of use
 SCAN_CURVES = {"none": "snapshot", "range": "range variant", "pose": "pose, wheels"}
 
 Results = Mapping[Condition, Measured]
+
+
+def outcome(results: Results, condition: Condition, method: Method) -> Outcome:
+    """How a method did on a drive."""
+    return results[drive_for(condition, method)].of(method)
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -41,60 +47,85 @@ def in_cm(metres: float) -> str:
 # --- the frontier ----------------------------------------------------------------------------------------
 
 
-def is_usable(outcome: Outcome) -> bool:
-    return outcome.ate_m <= USABLE_M and outcome.ate_deg <= USABLE_DEG
+def is_usable(o: Outcome) -> bool:
+    return o.ate_m <= USABLE_M and o.ate_deg <= USABLE_DEG
 
 
 def heat(results: Results, grid: Sequence[Sequence[Condition]], method: Method) -> Heat:
     """ATE of one method over a grid of drives, and where it is of use."""
-    outcomes = [[results[c].of(method) for c in row] for row in grid]
+    outcomes = [[outcome(results, c, method) for c in row] for row in grid]
     ate_m = np.array([[o.ate_m for o in row] for row in outcomes])
     return Heat(method.name, ate_m, np.array([[is_usable(o) for o in row] for row in outcomes]))
 
 
-def heat_rows(results: Results, plan: Plan) -> list[HeatRow]:
-    """Both grids of drives, rows by sensor rate."""
-    laps = [[plan.lap(v, rate) for v in plan.speeds_m_s] for rate in plan.rates_hz]
-    spins = [[plan.spin(w, rate) for w in plan.yaw_rates_rad_s] for rate in plan.rates_hz]
+def frontier_rows(results: Results, plan: Plan) -> list[HeatRow]:
+    """What the robot does, over the laser's rate."""
+    rates, label = [f"{rate:g}" for rate in plan.rates_hz], "turns of the laser, Hz"
+    speeds, yaw_rates = numbers(plan.speeds_m_s), numbers(plan.yaw_rates_rad_s)
     return [
-        HeatRow([heat(results, grid, m) for m in FRONTIER], columns, label, plan.rates_hz)
-        for grid, columns, label in (
-            (laps, plan.speeds_m_s, "speed, m/s"),
-            (spins, plan.yaw_rates_rad_s, "turning in place, rad/s"),
-        )
+        heat_row(results, plan.laps(), speeds, "speed, m/s", rates, label),
+        heat_row(results, plan.spins(), yaw_rates, "turning in place, rad/s", rates, label),
     ]
 
 
-def reach(usable: BoolArray, columns: Sequence[float], line: int) -> str:
+def fault_rows(results: Results, plan: Plan) -> list[HeatRow]:
+    """What the robot does, over what is wrong with its wheels and clocks; a laser of 10 Hz."""
+    slips, delays = numbers(in_percent(plan.slips)), numbers(in_ms(plan.delays_s))
+    speeds, yaw_rates = numbers(plan.speeds_m_s), numbers(plan.yaw_rates_rad_s)
+    return [
+        heat_row(results, plan.slipping_laps(), speeds, "speed, m/s", slips, "slip, cm per root m"),
+        heat_row(
+            results, plan.late_spins(), yaw_rates, "turning in place, rad/s", delays, "unknown delay, ms"
+        ),
+    ]
+
+
+def heat_row(
+    results: Results,
+    grid: Sequence[Sequence[Condition]],
+    columns: Sequence[str],
+    columns_label: str,
+    lines: Sequence[str],
+    lines_label: str,
+) -> HeatRow:
+    return HeatRow([heat(results, grid, m) for m in FRONTIER], columns, columns_label, lines, lines_label)
+
+
+def numbers(values: Sequence[float]) -> list[str]:
+    return [f"{value:g}" for value in values]
+
+
+def reach(usable: BoolArray, columns: Sequence[str], line: int) -> str:
     """The fastest drive up to which every one is of use, at one sensor rate."""
     good = usable[line]
     count = len(good) if good.all() else int(np.argmin(good))
     if count == len(good):
-        return f"{columns[-1]:g} (all)"
-    return f"{columns[count - 1]:g}" if count else "none"
+        return f"{columns[-1]} (all)"
+    return columns[count - 1] if count else "none"
 
 
 def reach_table(rows: Sequence[HeatRow]) -> str:
     head = ["", *(m.title for m in rows[0].maps)]
     lines = []
     for row in rows:
-        for n, rate in enumerate(row.rates_hz):
+        for n, value in enumerate(row.lines):
             cells = [reach(m.usable, row.columns, n) for m in row.maps]
-            lines.append([f"{row.columns_label}, {rate:g} Hz", *cells])
+            lines.append([f"{row.columns_label}; {row.lines_label}: {value}", *cells])
     return table(head, lines)
 
 
 def named(conditions: Sequence[Condition]) -> str:
-    """Drives of the grid in words, by rate of the laser: "3, 4 rad/s at 5 Hz"."""
-    groups: dict[tuple[str, float], list[float]] = {}
+    """Drives of the grids in words, by what else there is: "3, 4 rad/s at 5 Hz"."""
+    groups: dict[str, list[str]] = {}
     for c in conditions:
         unit, value = ("m/s", c.speed_m_s) if c.drive == "lap" else ("rad/s", c.yaw_rate_rad_s)
-        groups.setdefault((unit, c.rate_hz), []).append(value)
-    texts = [
-        f"{', '.join(f'{v:g}' for v in values)} {unit} at {rate:g} Hz"
-        for (unit, rate), values in groups.items()
-    ]
-    return "; ".join(texts) or "none"
+        text = f"{unit} at {c.rate_hz:g} Hz"
+        if c.slip_m_per_sqrt_m != BASE.slip_m_per_sqrt_m:
+            text += f" with {100.0 * c.slip_m_per_sqrt_m:g} cm of slip"
+        if c.delay_s:
+            text += f", {1000.0 * c.delay_s:g} ms late"
+        groups.setdefault(text, []).append(f"{value:g}")
+    return "; ".join(f"{', '.join(values)} {text}" for text, values in groups.items()) or "none"
 
 
 # --- the scans' own error --------------------------------------------------------------------------------
@@ -113,18 +144,11 @@ def scan_panels(results: Results, plan: Plan) -> list[Panel]:
     for title, label, x, conditions in grids:
         measured = [results[c] for c in conditions]
         curves = {SCAN_CURVES[mode]: [m.scan_error_m[mode] for m in measured] for mode in MODES}
-        curves["pose, optimised motion"] = [m.of(ENGINE).scan_error_m for m in measured]
-        free = [_without_wheels(results, plan, c).of(NO_WHEELS).scan_error_m for c in conditions]
+        curves["pose, optimised motion"] = [outcome(results, c, ENGINE).scan_error_m for c in conditions]
+        free = [outcome(results, c, NO_WHEELS).scan_error_m for c in conditions]
         curves["pose, optimised motion, no wheels"] = free
         out.append(Panel(title, label, x, dict(curves), y_label="error left in a scan (RMS), m"))
     return out
-
-
-def _without_wheels(results: Results, plan: Plan, condition: Condition) -> Measured:
-    """Where the same drive was mapped without wheels: no delay between clocks, no fault of a wheel matters there."""
-    if any(outcome.method == NO_WHEELS.name for outcome in results[condition].outcomes):
-        return results[condition]
-    return results[plan.turning if condition.drive == "spins" else plan.base]
 
 
 # --- faults of wheels and clocks -------------------------------------------------------------------------
@@ -144,11 +168,11 @@ def fault_panels(results: Results, plan: Plan) -> list[list[Panel]]:
     ]
     rows: list[list[Panel]] = [[], []]
     for title, label, values, conditions in faults:
-        by_method = {m.name: [results[c].of(m) for c in conditions] for m in (MOTION_FREE, ENGINE)}
-        by_method[NO_WHEELS.name] = [_without_wheels(results, plan, c).of(NO_WHEELS) for c in conditions]
+        methods = (MOTION_FREE, ENGINE, NO_WHEELS)
+        by_method = {m.name: [outcome(results, c, m) for c in conditions] for m in methods}
         ate_m = {name: [o.ate_m for o in outcomes] for name, outcomes in by_method.items()}
         blur = {name: [o.blur for o in outcomes] for name, outcomes in by_method.items()}
-        ticks = [f"{v:g}" for v in values]
+        ticks = numbers(values)
         rows[0].append(Panel(title, "", values, dict(ate_m), ticks, "ATE (RMS), m", USABLE_M))
         rows[1].append(Panel("", label, values, dict(blur), ticks, "blur of the map", 1.0, False))
     return rows
@@ -168,16 +192,13 @@ def in_percent(shares: Sequence[float]) -> list[float]:
 def ladder_table(results: Results, plan: Plan) -> str:
     rows = []
     for name, condition in plan.hard_drives().items():
-        measured = results[condition]
-        rows.append([name, *(_rung(measured, method) for method in LADDER)])
+        rows.append([name, *(_rung(outcome(results, condition, method)) for method in LADDER)])
     return table(["drive", *(method.name for method in LADDER)], rows)
 
 
-def _rung(measured: Measured, method: Method) -> str:
-    outcome = measured.of(method)
-    lost = f" ({100 * outcome.lost_share:.0f} %)" if outcome.lost_share >= 0.005 else ""
-    text = in_cm(outcome.ate_m)
-    return f"**{text}**{lost}" if is_usable(outcome) else f"{text}{lost}"
+def _rung(o: Outcome) -> str:
+    lost = f" ({100 * o.lost_share:.0f} %)" if o.lost_share >= 0.005 else ""
+    return f"**{in_cm(o.ate_m)}**{lost}" if is_usable(o) else f"{in_cm(o.ate_m)}{lost}"
 
 
 def detail_table(results: Results, plan: Plan) -> str:
@@ -185,7 +206,7 @@ def detail_table(results: Results, plan: Plan) -> str:
     rows = []
     for name, condition in plan.hard_drives().items():
         for method in FRONTIER:
-            o = results[condition].of(method)
+            o = outcome(results, condition, method)
             rows.append(
                 [
                     *(name, method.name, in_cm(o.scan_error_m), in_cm(o.step_m), f"{o.step_deg:.2f}"),

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import product
 
 from paper.beyond_conditions import Condition
-from paper.beyond_runs import ENGINE, FRONTIER, LADDER, MOTION_FREE, NO_WHEELS, Method
+from paper.beyond_runs import ENGINE, FRONTIER, LADDER, MOTION_FREE, NO_WHEELS, Method, drive_for
 
 BASE = Condition()
 SPIN = Condition(drive="spins", yaw_rate_rad_s=2.0)
@@ -55,6 +56,29 @@ class Plan:
     def turning(self) -> Condition:
         return replace(SPIN, share=self.share)
 
+    def laps(self) -> list[list[Condition]]:
+        """Rows by the laser's rate, columns by speed."""
+        return [[self.lap(v, rate) for v in self.speeds_m_s] for rate in self.rates_hz]
+
+    def spins(self) -> list[list[Condition]]:
+        """Rows by the laser's rate, columns by yaw rate."""
+        return [[self.spin(w, rate) for w in self.yaw_rates_rad_s] for rate in self.rates_hz]
+
+    def slipping_laps(self) -> list[list[Condition]]:
+        """Rows by slip, columns by speed."""
+        laps = [self.lap(v, BASE.rate_hz) for v in self.speeds_m_s]
+        return [[replace(lap, slip_m_per_sqrt_m=slip) for lap in laps] for slip in self.slips]
+
+    def late_spins(self) -> list[list[Condition]]:
+        """Rows by a delay that nobody knows of, columns by yaw rate."""
+        spins = [self.spin(w, BASE.rate_hz) for w in self.yaw_rates_rad_s]
+        return [[replace(spin, delay_s=delay) for spin in spins] for delay in self.delays_s]
+
+    def grid(self) -> list[Condition]:
+        """All of them, each once."""
+        grids = (self.laps(), self.spins(), self.slipping_laps(), self.late_spins())
+        return list(dict.fromkeys(c for rows in grids for row in rows for c in row))
+
     def late(self, known: bool) -> list[Condition]:
         return [replace(self.turning, delay_s=delay, delay_known=known) for delay in self.delays_s]
 
@@ -70,11 +94,6 @@ class Plan:
     def too_wide(self) -> list[Condition]:
         return [replace(self.turning, track_error=error) for error in self.wheel_errors]
 
-    def grid(self) -> list[Condition]:
-        """Laps and turns at every speed and every rate of the laser."""
-        laps = [self.lap(v, rate) for v in self.speeds_m_s for rate in self.rates_hz]
-        return laps + [self.spin(w, rate) for w in self.yaw_rates_rad_s for rate in self.rates_hz]
-
     def hard_drives(self) -> dict[str, Condition]:
         return {name: replace(HARD[name], share=self.share) for name in self.hard}
 
@@ -83,17 +102,15 @@ class Plan:
         wanted: dict[Condition, dict[str, Method]] = {}
 
         def want(conditions: Iterable[Condition], methods: Iterable[Method]) -> None:
-            for condition in conditions:
-                wanted.setdefault(condition, {}).update({m.name: m for m in methods})
+            for condition, method in product(conditions, methods):
+                wanted.setdefault(condition, {})
+                wanted.setdefault(drive_for(condition, method), {})[method.name] = method
 
-        slow_first = [self.slowest_m_s, *self.speeds_m_s]
         want(self.grid(), FRONTIER)
-        want((self.lap(v, BASE.rate_hz) for v in slow_first), (ENGINE, NO_WHEELS))
+        want((self.lap(v, BASE.rate_hz) for v in (self.slowest_m_s, *self.speeds_m_s)), (ENGINE, NO_WHEELS))
         want((self.spin(w, BASE.rate_hz) for w in self.yaw_rates_rad_s), (ENGINE, NO_WHEELS))
-        want((self.base, self.turning), (NO_WHEELS,))  # which no fault of the wheels or of the clocks changes
         faults = [*self.quantised(), *self.slipping(), *self.too_small(), *self.too_wide()]
-        want((*self.late(False), *self.late(True), *faults), (MOTION_FREE, ENGINE))
-        want(self.late(True), (NO_WHEELS,))  # whose poses stand for another instant of each scan
+        want((*self.late(False), *self.late(True), *faults), (MOTION_FREE, ENGINE, NO_WHEELS))
         want(self.hard_drives().values(), LADDER)
         in_order = sorted(wanted, key=lambda c: -c.rate_hz / min(c.speed_m_s, c.yaw_rate_rad_s))
         return {condition: list(wanted[condition].values()) for condition in in_order}

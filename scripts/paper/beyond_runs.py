@@ -181,6 +181,21 @@ class Truth:
         return cells[0] / cells[1]
 
 
+def drive_for(condition: Condition, method: Method) -> Condition:
+    """The drive that a method's map depends on: without wheels none of their faults does anything to it, nor
+    does a delay between clocks that nobody knows of."""
+    if method != NO_WHEELS:
+        return condition
+    return replace(
+        condition,
+        delay_s=condition.delay_s if condition.delay_known else 0.0,
+        ticks_per_turn=Condition.ticks_per_turn,
+        slip_m_per_sqrt_m=Condition.slip_m_per_sqrt_m,
+        radius_error=Condition.radius_error,
+        track_error=Condition.track_error,
+    )
+
+
 def without_pose(message: Message) -> Message:
     """As in a ROS log: scans carry no pose of the wheels, which have messages of their own."""
     return replace(message, odom_T_body=None) if isinstance(message, Scan) else message
