@@ -117,8 +117,8 @@ class Plan:
 
 
 QUICK = Plan(
-    slowest_m_s=2.0,
-    speeds_m_s=(3.0, 6.0),
+    slowest_m_s=3.0,
+    speeds_m_s=(6.0,),
     yaw_rates_rad_s=(2.0,),
     rates_hz=(10.0,),
     delays_s=(0.0, 0.15),
