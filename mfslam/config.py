@@ -102,15 +102,19 @@ class OdometryConfig(_Stage):
     sigma_rotation_per_m: float = Field(0.03, gt=0, description="Sigma of heading drift, rad per m driven.")
     sigma_floor_m: float = Field(0.005, gt=0, description="Floor of the translation sigma of any step, m.")
     sigma_floor_rad: float = Field(0.003, gt=0, description="Floor of the rotation sigma of any step, rad.")
+    learn_errors: bool = Field(
+        True,
+        description="Learn the wheels' systematic errors (scale, drift, turn) from the scans on the way.",
+    )
     white_share: float = Field(
-        0.01,
+        0.3,
         gt=0,
         le=1,
-        description="Share of a step's information that goes into the graph: errors of the wheels are mostly "
-        "systematic and add up over about 1/share steps.",
+        description="Share of a step's information that goes into the graph: what is not learned of the wheels' "
+        "errors adds up over about 1/share steps.",
     )
-    max_speed_m_s: float = Field(5.0, gt=0, description="Faster wheel motion is a jump, not driving, m/s.")
-    max_yaw_rate_rad_s: float = Field(6.0, gt=0, description="Faster wheel turning is a jump, rad/s.")
+    max_speed_m_s: float = Field(10.0, gt=0, description="Faster wheel motion is a jump, not driving, m/s.")
+    max_yaw_rate_rad_s: float = Field(10.0, gt=0, description="Faster wheel turning is a jump, rad/s.")
 
 
 class ImuConfig(_Stage):
@@ -267,6 +271,12 @@ class RefineConfig(_Stage):
 
     passes: int = Field(2, ge=0, description="Rounds of deskewing, matching and solving again.")
     successive: int = Field(3, ge=1, description="Previous keyframes that each one is matched with.")
+    surface_keyframes: int = Field(
+        1,
+        ge=1,
+        description="Keyframes whose common surface a previous keyframe stands for in that. 1: its own scan; more "
+        "where the noise of a range is large.",
+    )
     others: int = Field(
         5, ge=0, description="Keyframes of other passes by the same spot that each one is matched with."
     )

@@ -30,12 +30,14 @@ class PredictedMotion:
 
     ``twist`` (3,): body velocity during the scan. ``dt_s``: time since the previous scan. ``step`` (3,):
     wheel motion since the previous scan; None without wheels. ``turn_rad``: the gyro's turn since then.
+    ``noise_scale`` (3,): how many times noisier than configured the wheels turned out to be.
     """
 
     twist: FloatArray
     dt_s: float
     step: FloatArray | None = None
     turn_rad: float | None = None
+    noise_scale: FloatArray = field(default_factory=lambda: np.ones(3))
 
 
 NOTHING_KNOWN = PredictedMotion(np.zeros(3), 0.0)
@@ -122,7 +124,7 @@ class Frontend:
         sigmas = MATCH_SIGMAS + (
             free_motion_sigmas(motion.dt_s)
             if motion.step is None
-            else 2.0 * step_sigmas(predicted, self.config.odometry)
+            else 2.0 * motion.noise_scale * step_sigmas(predicted, self.config.odometry)
         )
         return float(np.max(np.abs(error) / sigmas))
 
@@ -136,7 +138,7 @@ class Frontend:
             prior, sigmas = guess, SEARCHED_SIGMAS
         elif self.wheels_trusted:
             prior = poses.compose(self.recent[-1].local_T_body, self.wheels_since_keyframe)
-            sigmas = step_sigmas(self.wheels_since_keyframe, self.config.odometry)
+            sigmas = motion.noise_scale * step_sigmas(self.wheels_since_keyframe, self.config.odometry)
         else:
             prior, sigmas = guess, free_motion_sigmas(motion.dt_s)
         return icp.register(

@@ -97,14 +97,14 @@ class PoseGraph:
         cross = jacobian @ ij
         return np.asarray(jacobian @ ii @ jacobian.T + cross + cross.T + jj)
 
-    def optimize(self) -> list[Edge]:
-        """Batch solve of the whole graph; robust on loop edges by graduated non-convexity.
+    def optimize(self, edges: list[Edge]) -> list[Edge]:
+        """Batch solve from the poses as they stand with these edges; robust on loops by graduated
+        non-convexity.
 
-        Returns all edges with the weight that the solve left them; the poses of the graph become the
+        Returns the edges with the weight that the solve left them; the poses of the graph become the
         solution.
         """
         self._flush()
-        edges = self.live_edges()
         values = self._values()
         loops = [n for n, e in enumerate(edges) if e.kind == "loop"]
         weights = np.ones(len(edges))

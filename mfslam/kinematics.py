@@ -20,7 +20,7 @@ from mfslam.types import Findings, FloatArray, Odometry, WheelAngles, WheelTicks
 TURN_RAD = 2.0 * math.pi
 TICK_SPANS = (2.0**16, 2.0**32)  # of counters that wrap
 ANGLE_SPANS = (TURN_RAD,)  # of angles that are told within one turn
-MAX_WHEEL_SPEED_M_S = 10.0  # a faster wheel is a counter that jumped
+MAX_WHEEL_SPEED_M_S = 15.0  # a faster wheel is a counter that jumped
 MIN_STEP_S = 0.1  # stamps come in bursts: a shorter time between them proves nothing
 
 

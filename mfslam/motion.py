@@ -14,7 +14,7 @@ from mfslam.frontend import PredictedMotion
 from mfslam.heading import HeadingTrack
 from mfslam.kernels import poses
 from mfslam.kinematics import WheelIntegrator
-from mfslam.odometry import OdometryTrack, factor_information, is_jump
+from mfslam.odometry import OdometryTrack, is_jump
 from mfslam.types import (
     Edge,
     Findings,
@@ -26,6 +26,7 @@ from mfslam.types import (
     WheelAngles,
     WheelTicks,
 )
+from mfslam.wheel_errors import WheelErrors, WheelStep
 
 STARTED_M, STARTED_RAD = 0.5, 0.3  # wheels that still show nothing by then are not connected
 LAG_S = 0.5  # odometry older than this says nothing of a scan
@@ -45,7 +46,12 @@ class MotionSources:
         self.heading = HeadingTrack(config.imu)
         self.times_s: list[float] = []
         self.jumps: list[int] = []
+        self.wheel_errors = WheelErrors(config.odometry)
         self._wheels = WheelIntegrator(config.wheels, findings)
+        self._wheel_steps: dict[tuple[int, int], WheelStep] = {}  # between keyframes
+        self._told_T_body: FloatArray | None = None  # the wheels' latest pose, as told
+        self._streamed = False  # whether that pose came in a message of its own
+        self._with_scan: FloatArray | None = None  # corrected pose that came with the latest scan
         self._odom_T_body: list[FloatArray | None] = []  # at every scan
         self._epoch_ns: int | None = None
 
@@ -55,16 +61,34 @@ class MotionSources:
             self._epoch_ns = message.stamp_ns
         time_s = self._seconds(message.stamp_ns)
         if isinstance(message, Scan):
-            if message.odom_T_body is not None:
-                self.odometry.add(time_s, message.odom_T_body)
+            told = message.odom_T_body
+            self._with_scan = None if told is None else self._add_odometry(time_s, told, from_scan=True)
         elif isinstance(message, Odometry):
-            self.odometry.add(time_s, message.odom_T_body)
+            self._add_odometry(time_s, message.odom_T_body)
         elif isinstance(message, WheelTicks):
-            self.odometry.add(time_s, self._wheels.add_ticks(message).odom_T_body)
+            self._add_odometry(time_s, self._wheels.add_ticks(message).odom_T_body)
         elif isinstance(message, WheelAngles):
-            self.odometry.add(time_s, self._wheels.add_angles(message).odom_T_body)
+            self._add_odometry(time_s, self._wheels.add_angles(message).odom_T_body)
         elif isinstance(message, Imu):
             self.heading.add(time_s, message)
+
+    def _add_odometry(self, time_s: float, odom_T_body: FloatArray, from_scan: bool = False) -> FloatArray:
+        """The track goes on by the wheels' step, less the errors that are known of them.
+
+        A pose that a scan brings from before what a stream of its own has told since stays out of the track:
+        the wheels would seem to jump back and forth.
+        """
+        track = self.odometry
+        corrected = odom_T_body
+        if self._told_T_body is not None:
+            step = self.wheel_errors.corrected(poses.between(self._told_T_body, odom_T_body))
+            corrected = poses.compose(track.odom_T_body[-1], step)
+        if from_scan and self._streamed and time_s < track.times_s[-1]:
+            return corrected
+        self._streamed = not from_scan
+        self._told_T_body = odom_T_body
+        track.add(time_s, corrected)
+        return corrected
 
     def predict(self, scan: Scan, local_T_body: FloatArray, last_step: FloatArray) -> PredictedMotion:
         """Motion since the previous scan and through this one, where wheels and gyro tell.
@@ -101,29 +125,55 @@ class MotionSources:
             twist = np.zeros(3)
         if turn_rad is not None and dt_s > 0.0:
             twist = np.array([twist[0], twist[1], turn_rad / dt_s])
-        return PredictedMotion(twist, dt_s, step, turn_rad)
+        return PredictedMotion(
+            twist, dt_s, step, turn_rad, np.sqrt(np.maximum(1.0, self.wheel_errors.noise_share))
+        )
 
     def has_wheels(self, a: int, b: int) -> bool:
         """Whether the wheels told where both scans stand."""
         return self._odom_T_body[a] is not None and self._odom_T_body[b] is not None
 
-    def edges(self, i: int, j: int, a: int, b: int, matched_turn_rad: float) -> Iterator[Edge]:
-        """Wheel and heading edges from keyframe ``i`` (scan ``a``) to ``j`` (scan ``b``)."""
+    def edges(
+        self, i: int, j: int, a: int, b: int, matched: FloatArray, information: FloatArray, sure: bool
+    ) -> Iterator[Edge]:
+        """Wheel and heading edges from keyframe ``i`` (scan ``a``) to ``j`` (scan ``b``).
+
+        ``matched`` (3,), ``information`` (3, 3): what the scans say of that step; ``sure``: they fit well.
+        """
         odom_a, odom_b = self._odom_T_body[a], self._odom_T_body[b]
         t0, t1 = self.times_s[a], self.times_s[b]
+        learned = False
         if odom_a is not None and odom_b is not None:
             wheels = poses.between(odom_a, odom_b)
             jumped = bool(self.jumps) and self.jumps[-1] > a
             # a step that nothing can drive stays out: at 1e9 m the least information still pulls
             if not (jumped and is_jump(wheels, t1 - t0, self.config.odometry)):
-                yield Edge("odometry", i, j, wheels, factor_information(wheels, jumped, self.config.odometry))
+                step = WheelStep(self.wheel_errors.told(wheels), matched, information, jumped)
+                self._wheel_steps[i, j] = step
+                yield self._wheel_edge(i, j)
+                learned = sure and not jumped
+                if learned:
+                    self.wheel_errors.learn(step)
+        if not learned:
+            self.wheel_errors.skip()
         turn_rad = self.heading.turn(t0, t1)
         if turn_rad is not None:
             yield _heading_edge(i, j, turn_rad, self.heading.turn_sigma(t1 - t0))
-            self.heading.learn_bias(t1 - t0, turn_rad, matched_turn_rad)
+            self.heading.learn_bias(t1 - t0, turn_rad, float(matched[2]))
         compass = self.heading.compass(t1)
         if compass is not None:
             yield _heading_edge(j, j, *compass)
+
+    def revised(self, edges: list[Edge]) -> list[Edge]:
+        """The edges, those of wheels by all that was learned of their errors until now."""
+        known = self._wheel_steps
+        return [
+            self._wheel_edge(e.i, e.j) if e.kind == "odometry" and (e.i, e.j) in known else e for e in edges
+        ]
+
+    def _wheel_edge(self, i: int, j: int) -> Edge:
+        step, errors = self._wheel_steps[i, j], self.wheel_errors
+        return Edge("odometry", i, j, errors.corrected(step.told), errors.factor_information(step))
 
     def _seconds(self, stamp_ns: int) -> float:
         assert self._epoch_ns is not None
@@ -134,13 +184,13 @@ class MotionSources:
         track = self.odometry
         if not track.has_moved and (len(track) == 0 or _has_left_start(local_T_body)):
             return None  # no wheels, or none that turn: a pose that never changes is no measurement
-        if scan.odom_T_body is not None:
+        if self._with_scan is not None:
             offset_s = reference_offset_s(scan.laser)
             if offset_s == 0.0:
-                return scan.odom_T_body
+                return self._with_scan
             stamp_s = self._seconds(scan.stamp_ns)
             twist = track.twist_over(stamp_s, stamp_s, self.config.odometry)
-            return se2.compose(scan.odom_T_body, se2.exp(twist * offset_s))
+            return se2.compose(self._with_scan, se2.exp(twist * offset_s))
         if not track.times_s[0] - LAG_S <= reference_s <= track.times_s[-1] + LAG_S:
             self.findings.add(
                 "odometry-gap",

@@ -105,10 +105,10 @@ def is_jump(step: FloatArray, dt_s: float, config: OdometryConfig) -> bool:
     )
 
 
-def factor_information(step: FloatArray, distrusted: bool, config: OdometryConfig) -> FloatArray:
-    """(3, 3) information of a wheel factor; next to nothing where the scans contradict the wheels."""
+def factor_variances(step: FloatArray, distrusted: bool, config: OdometryConfig) -> FloatArray:
+    """(3,) variances of a wheel factor; next to nothing is believed where the scans contradict the wheels."""
     share = config.white_share * (DISTRUSTED_SHARE if distrusted else 1.0)
-    return np.asarray(np.diag(share / step_sigmas(step, config) ** 2))
+    return step_sigmas(step, config) ** 2 / share
 
 
 def step_sigmas(step: FloatArray, config: OdometryConfig) -> FloatArray:

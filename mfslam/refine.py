@@ -62,18 +62,24 @@ def match_neighbours(
     icp_config: IcpConfig,
     config: RefineConfig,
 ) -> list[Edge]:
-    """Pairwise edges of overlapping scans, each from the current estimate and close to it."""
-    tables: OrderedDict[int, CellTable] = OrderedDict()  # of the latest references: pairs come in order
+    """Pairwise edges of overlapping scans, each from the current estimate and close to it.
+
+    The reference of a predecessor is the surface that it and those before it saw
+    (``config.surface_keyframes``), that of another pass the scan alone.
+    """
+    tables: OrderedDict[tuple[int, int], CellTable] = OrderedDict()  # of the latest references
     edges: list[Edge] = []
-    for i, j in pairs:
-        if i not in tables:
-            tables[i] = icp.reference_table(np.hstack([clouds[i].points_m, clouds[i].normals]))
+    for i, j in pairs:  # they come in order of j
+        merged = config.surface_keyframes if j - i <= config.successive else 1
+        key = (i, merged)
+        if key not in tables:
+            tables[key] = _reference(clouds, world_T_body, range(max(0, i - merged + 1), i + 1))
             if len(tables) > MAX_TABLES:
                 tables.popitem(last=False)
-        tables.move_to_end(i)
+        tables.move_to_end(key)
         guess = poses.between(world_T_body[i], world_T_body[j])
         match = icp.register(
-            tables[i], clouds[j].points_m, clouds[j].normals, guess, range_sigma_m, icp_config,
+            tables[key], clouds[j].points_m, clouds[j].normals, guess, range_sigma_m, icp_config,
             search_radius_m=config.search_radius_m,
         )  # fmt: skip
         if match.inlier_ratio < config.min_inlier_ratio or not match.converged:
@@ -83,6 +89,15 @@ def match_neighbours(
             continue
         edges.append(Edge("scan", i, j, match.ref_T_src, match.information))
     return edges
+
+
+def _reference(clouds: list[DeskewedScan], world_T_body: FloatArray, members: range) -> CellTable:
+    """Search structure over what the keyframes ``members`` saw, in the frame of the last of them."""
+    last = members[-1]
+    if len(members) == 1:
+        return icp.reference_table(np.hstack([clouds[last].points_m, clouds[last].normals]))
+    last_T_members = [poses.between(world_T_body[last], world_T_body[k]) for k in members]
+    return merged_surface([clouds[k] for k in members], last_T_members)
 
 
 def localise_between(

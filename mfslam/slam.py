@@ -148,7 +148,8 @@ class Slam:
         a, b = previous.scan_index, keyframe.scan_index
         least = HARDLY_ANYTHING if self._motion.has_wheels(a, b) else INERTIA
         yield Edge("scan", i, j, prev_T_body, trust * step.match.information + least)
-        yield from self._motion.edges(i, j, a, b, float(prev_T_body[2]))
+        sure = step.match.inlier_ratio > GOOD_FIT
+        yield from self._motion.edges(i, j, a, b, prev_T_body, step.match.information, sure)
 
     def _close_loops(self) -> None:
         with self.clock.time("graph"):
@@ -172,7 +173,7 @@ class Slam:
             raise MfslamError("no scans: nothing to map")
         tell("solving the graph")
         with self.clock.time("final solve"):
-            edges = self.graph.optimize()
+            edges = self.graph.optimize(self._motion.revised(self.graph.live_edges()))
         for _ in range(self.config.refine.passes if len(self.keyframes) > 1 else 0):
             tell("matching again from the optimised trajectory")
             edges = self._refine(edges)

@@ -95,7 +95,7 @@ def test_a_terminal_sees_a_bar_with_the_real_time_factor(log: Path, tmp_path: Pa
     ("extra", "expected"),
     [
         (["--preset", "sick-lms20"], "did you mean sick-lms200?"),
-        (["--preset", "nothing-like-it"], "Presets: generic, rplidar-a1"),
+        (["--preset", "nothing-like-it"], "Presets: conventional-icp, generic, motion-free-icp, rplidar-a1"),
         (["--set", "map.resolutin_m=1"], "--set map.resolutin_m=1: map.resolutin_m: no such setting; did you mean"),
         (["--set", "map.resolution_m=-1"], "map.resolution_m: Input should be greater than 0"),
         (["--set", "map.resolution_m"], "expected stage.key=value"),

@@ -195,6 +195,7 @@ def point_to_line(
         if small or iteration >= 2:
             radius = max(radius_end, 0.6 * radius)
     pose[2] = wrap_angle(pose[2])
+    h = drop_open_direction(h, open_share)
     return pose, h, weight_sum / max(1, points.shape[0] - mute), rms, iteration, converged
 
 

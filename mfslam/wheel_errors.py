@@ -1,0 +1,155 @@
+"""Systematic errors of the wheels, learned while driving, and how large the rest of their errors is.
+
+Wheels err mostly in the same way all the time: a radius that is not quite known, a track that is wider in
+turns. To first order a true step is
+
+    x' = (1 + scale) x,        theta' = (1 + turn_scale) theta + drift x
+
+of the x (m, signed) and theta (rad) that the wheels tell: the radii and the track of a differential drive
+(eqs. 8-11) have just these three errors. Steps that scans matched tell the three, by recursive least
+squares with the sigmas of `OdometryConfig` as prior: nothing is learned that was not thought possible.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mfslam import se2
+from mfslam.config import OdometryConfig
+from mfslam.odometry import factor_variances, step_sigmas
+from mfslam.types import FloatArray
+
+# One measurement is made over so much driving, so that errors of the matches at its ends matter little.
+WINDOW_M, WINDOW_RAD = 1.0, 0.5
+MEMORY_M = 200.0  # what was learned fades over this distance: floors and loads change
+SURE_SIGMA_M = 0.1  # along the motion: a match less sure than this has held on to the wheels
+PRIOR_WINDOWS = 5.0  # measurements that the configured noise counts as
+CONTRADICTION_SIGMAS = 3.0  # a step farther off the scans than this has slipped
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class WheelStep:
+    """Motion from one keyframe to the next: as ``told`` by the wheels and as ``matched`` by the scans (3,),
+    the match's ``information`` (3, 3), and whether the wheels were found to have ``jumped``."""
+
+    told: FloatArray
+    matched: FloatArray
+    information: FloatArray
+    jumped: bool = False
+
+
+@dataclass(eq=False, slots=True)
+class _Window:
+    """Sums over the steps of one measurement."""
+
+    told: FloatArray = field(default_factory=lambda: np.zeros(3))
+    matched: FloatArray = field(default_factory=lambda: np.zeros(3))
+    corrected: FloatArray = field(default_factory=lambda: np.zeros(3))
+    wheel_variances: FloatArray = field(default_factory=lambda: np.zeros(3))
+    match_variances: FloatArray = field(default_factory=lambda: np.zeros(3))  # the largest
+    travelled_m: float = 0.0
+    turned_rad: float = 0.0
+
+
+class WheelErrors:
+    """``scale`` (m per m), ``turn_scale`` (rad per rad) and ``drift_rad_per_m``, as learned so far, and
+    ``noise_share`` (3,): variance of what remains, over the configured one, along x, y, theta."""
+
+    def __init__(self, config: OdometryConfig) -> None:
+        self.scale = self.turn_scale = self.drift_rad_per_m = 0.0
+        self.noise_share = np.ones(3)
+        self._config = config
+        self._turn_prior = np.diag([config.sigma_rotation_per_m**-2, config.sigma_rotation_per_rad**-2])
+        self._scale_prior = config.sigma_translation_per_m**-2
+        self._turn_information, self._turn_vector = np.zeros((2, 2)), np.zeros(2)
+        self._scale_information = self._scale_vector = 0.0
+        self._windows, self._chi2 = np.zeros(3), np.zeros(3)
+        self._window = _Window()
+
+    def corrected(self, step: FloatArray) -> FloatArray:
+        """A step (3,) as told by the wheels, without the errors learned so far."""
+        x, y, theta = (float(v) for v in step)
+        added = self.turn_scale * theta + self.drift_rad_per_m * x
+        return self._bent(np.array([x, y, theta]), 1.0 + self.scale, added)
+
+    def told(self, corrected: FloatArray) -> FloatArray:
+        """The inverse of `corrected`: what the wheels told."""
+        step, turn, added = corrected, float(corrected[2]), 0.0
+        for _ in range(4):  # the turn that was added depends on what was told
+            step = self._bent(corrected, 1.0 / (1.0 + self.scale), -added)
+            turn = (float(corrected[2]) - self.drift_rad_per_m * float(step[0])) / (1.0 + self.turn_scale)
+            added = float(corrected[2]) - turn
+        return np.array([step[0], step[1], turn])
+
+    @staticmethod
+    def _bent(step: FloatArray, scale: float, added_rad: float) -> FloatArray:
+        """A step scaled, with a turn added evenly along it."""
+        c, s = scale * math.cos(0.5 * added_rad), scale * math.sin(0.5 * added_rad)
+        x, y, theta = step
+        return np.array([c * x - s * y, s * x + c * y, float(se2.wrap(theta + added_rad))])
+
+    def factor_information(self, step: WheelStep) -> FloatArray:
+        """(3, 3) information of the corrected step as a factor: by the noise that was learned, less where
+        this step contradicts the scans."""
+        corrected = self.corrected(step.told)
+        variances = self.noise_share * factor_variances(corrected, step.jumped, self._config)
+        off = (step.matched - corrected) ** 2
+        sure = variances + _variances(step.information)
+        return np.diag(1.0 / (variances + np.where(off > CONTRADICTION_SIGMAS**2 * sure, off, 0.0)))
+
+    def skip(self) -> None:
+        """The chain of steps is broken: the next one begins a new measurement."""
+        self._window = _Window()
+
+    def learn(self, step: WheelStep) -> None:
+        """Take in the next step whose match was good."""
+        if not self._config.learn_errors:
+            return
+        window, corrected = self._window, self.corrected(step.told)
+        window.told += step.told
+        window.matched += step.matched
+        window.corrected += corrected
+        window.wheel_variances += step_sigmas(corrected, self._config) ** 2
+        # errors of the matches within the window cancel: those at its two ends remain
+        window.match_variances = np.maximum(window.match_variances, 2.0 * _variances(step.information))
+        window.travelled_m += abs(float(step.told[0]))
+        window.turned_rad += abs(float(step.told[2]))
+        if window.travelled_m >= WINDOW_M or window.turned_rad >= WINDOW_RAD:
+            fade = math.exp(-window.travelled_m / MEMORY_M)
+            self._learn_noise(window, fade)
+            self._learn_turn(window, fade)
+            self._learn_scale(window, fade)
+            self._window = _Window()
+
+    def _learn_turn(self, window: _Window, fade: float) -> None:
+        row = np.array([window.told[0], window.told[2]])
+        noise = window.match_variances[2] + self._config.sigma_floor_rad**2
+        self._turn_information = fade * self._turn_information + np.outer(row, row) / noise
+        self._turn_vector = fade * self._turn_vector + row * (window.matched[2] - window.told[2]) / noise
+        drift, turn_scale = np.linalg.solve(self._turn_information + self._turn_prior, self._turn_vector)
+        self.drift_rad_per_m, self.turn_scale = float(drift), float(turn_scale)
+
+    def _learn_scale(self, window: _Window, fade: float) -> None:
+        self._scale_information *= fade
+        self._scale_vector *= fade
+        if window.match_variances[0] < 2.0 * SURE_SIGMA_M**2:
+            x, noise = float(window.told[0]), float(window.match_variances[0]) + self._config.sigma_floor_m**2
+            self._scale_information += x * x / noise
+            self._scale_vector += x * (float(window.matched[0]) - x) / noise
+        self.scale = self._scale_vector / (self._scale_information + self._scale_prior)
+
+    def _learn_noise(self, window: _Window, fade: float) -> None:
+        # only matches surer than the wheels tell how good the wheels are
+        sure = window.match_variances < window.wheel_variances
+        off = (window.matched - window.corrected) ** 2
+        self._windows = fade * self._windows + sure
+        self._chi2 = fade * self._chi2 + np.where(sure, off / window.wheel_variances, 0.0)
+        self.noise_share = (PRIOR_WINDOWS + self._chi2) / (PRIOR_WINDOWS + self._windows)
+
+
+def _variances(information: FloatArray) -> FloatArray:
+    """Variances (3,) of each direction, the others being known."""
+    return np.asarray(1.0 / np.maximum(np.diag(information), 1e-9))
