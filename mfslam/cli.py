@@ -228,7 +228,7 @@ def _run_info(args: argparse.Namespace) -> int:
 
 
 def _run_config(args: argparse.Namespace) -> int:
-    from mfslam.config import describe, load, preset_path
+    from mfslam.settings import describe, load, preset_path
 
     files = [preset_path(name) for name in args.preset] + ([args.config] if args.config else [])
     print(describe(load(files, args.settings)))

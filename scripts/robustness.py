@@ -26,10 +26,11 @@ import numpy as np
 from robustness_cases import Case, all_cases
 
 from drivers.simulator import LaserModel, Simulation, simulate
-from mfslam import config, se2
+from mfslam import se2
 from mfslam.deskew import reference_offset_s
 from mfslam.metrics import ate, crispness, rpe
 from mfslam.output import write_atomically
+from mfslam.settings import load, preset_path
 from mfslam.slam import Slam, Solution
 from mfslam.types import Edge, FloatArray, MfslamError, Scan
 
@@ -82,7 +83,7 @@ def make_simulation(case: Case) -> tuple[Simulation, LaserModel]:
 def run_case(case: Case, settings: Iterable[str] = ()) -> Outcome:
     simulation, laser = make_simulation(case)
     start = time.process_time()
-    slam = Slam(config.load([config.preset_path(case.preset)], [*case.settings, *settings]))
+    slam = Slam(load([preset_path(case.preset)], [*case.settings, *settings]))
     for message in simulation.messages:
         slam.feed(message)
     solution = slam.finish()

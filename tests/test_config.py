@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
-from mfslam import config
 from mfslam.config import Config
+from mfslam.settings import describe, load, preset_names, preset_path
 from mfslam.types import MfslamError
 
 
@@ -20,20 +20,20 @@ def write(folder: Path, text: str, name: str = "user.yaml") -> Path:
 
 def error_of(files=(), settings=()) -> str:
     with pytest.raises(MfslamError) as caught:
-        config.load(files, settings)
+        load(files, settings)
     return str(caught.value)
 
 
 def test_nothing_said_is_the_defaults():
-    assert config.load() == Config()
+    assert load() == Config()
 
 
 def test_later_layers_win(tmp_path):
     first = write(tmp_path, "map:\n  resolution_m: 0.1\n  min_hits: 3\n", "first.yaml")
     second = write(tmp_path, "map:\n  resolution_m: 0.2\n", "second.yaml")
-    both = config.load([first, second], ["map.min_hits=5"])
+    both = load([first, second], ["map.min_hits=5"])
     assert (both.map.resolution_m, both.map.min_hits) == (0.2, 5)
-    assert config.load([second, first]).map.resolution_m == 0.1
+    assert load([second, first]).map.resolution_m == 0.1
     assert both.map.max_range_m == Config().map.max_range_m
 
 
@@ -82,7 +82,7 @@ def test_error_points_at_the_layer_that_said_it(tmp_path):
     good = write(tmp_path, "map:\n  min_hits: 3\n", "good.yaml")
     bad = write(tmp_path, "\nmap:\n  min_hits: 0\n", "bad.yaml")
     assert error_of([good, bad]).startswith(f"{bad}:3: map.min_hits")
-    assert config.load([bad], ["map.min_hits=4"]).map.min_hits == 4
+    assert load([bad], ["map.min_hits=4"]).map.min_hits == 4
     assert error_of([good], ["map.min_hits=-1"]).startswith("--set map.min_hits=-1: map.min_hits")
 
 
@@ -92,7 +92,7 @@ def test_files_that_are_none(tmp_path):
     binary = tmp_path / "binary.yaml"
     binary.write_bytes(b"\xff\xfe\x00\x80")
     assert "binary" in error_of([binary])
-    assert config.load([write(tmp_path, "# only a comment\n")]) == Config()
+    assert load([write(tmp_path, "# only a comment\n")]) == Config()
 
 
 def test_yaml_anchors_and_merges_keep_their_lines(tmp_path):
@@ -121,7 +121,7 @@ def test_setting_below_a_value_is_refused(tmp_path):
 @given(st.text(alphabet="abmp.:=_-{}[]&*!|>'\"#%@,\n 0123456789", max_size=40))
 def test_no_setting_ends_in_anything_but_a_clear_error(text):
     try:
-        loaded = config.load([], [text])
+        loaded = load([], [text])
     except MfslamError as error:
         assert str(error)
     else:
@@ -130,11 +130,11 @@ def test_no_setting_ends_in_anything_but_a_clear_error(text):
 
 def test_null_asks_the_log(tmp_path):
     path = write(tmp_path, "sensor:\n  range_max_m: 4\n")
-    assert config.load([path], ["sensor.range_max_m=null"]).sensor.range_max_m is None
+    assert load([path], ["sensor.range_max_m=null"]).sensor.range_max_m is None
 
 
 def test_described_config_reads_back_the_same(tmp_path):
-    changed = config.load(
+    changed = load(
         settings=[
             "sensor.name='a: b # c'",
             "sensor.transport_delay_s=-0.15",
@@ -145,11 +145,11 @@ def test_described_config_reads_back_the_same(tmp_path):
         ]
     )
     for every in (Config(), changed):
-        assert config.load([write(tmp_path, config.describe(every))]) == every
+        assert load([write(tmp_path, describe(every))]) == every
 
 
 def test_every_setting_is_described():
-    text = config.describe()
+    text = describe()
     for stage_name, stage in Config.model_fields.items():
         model = stage.annotation
         assert isinstance(model, type) and issubclass(model, BaseModel)
@@ -166,13 +166,13 @@ def test_config_is_frozen():
 
 def test_every_preset_loads_from_any_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert "generic" in config.preset_names()
-    for name in config.preset_names():
-        config.load([config.preset_path(name)])
+    assert "generic" in preset_names()
+    for name in preset_names():
+        load([preset_path(name)])
 
 
 def test_presets_by_path_and_unknown_ones(tmp_path):
     path = write(tmp_path, "map:\n  min_hits: 3\n")
-    assert config.preset_path(str(path)) == path
+    assert preset_path(str(path)) == path
     with pytest.raises(MfslamError, match="did you mean generic"):
-        config.preset_path("generik")
+        preset_path("generik")

@@ -12,10 +12,11 @@ from short_logs import drive, head_of_log
 
 from drivers.logs import default_presets, open_log
 from drivers.writers.log import write_log
-from mfslam import config, se2
+from mfslam import se2
 from mfslam.cli import main
 from mfslam.metrics import read_relations, relations_error
 from mfslam.output import read_map, read_tum
+from mfslam.settings import load, preset_path
 from mfslam.types import FloatArray, IntArray, Scan
 
 REPEATED = ("map.pgm", "map.png", "map.yaml", "trajectory.tum", "keyframes.tum", "graph.g2o", "points.ply")
@@ -108,7 +109,7 @@ def test_a_recorded_building_fits_its_ground_truth(shared_data: Path, building_r
 def test_every_bag_format_gives_the_same_trajectory(
     shared_data: Path, building: Path, building_run: Path, tmp_path: Path
 ) -> None:
-    settings = config.load([config.preset_path(name) for name in default_presets(building)])
+    settings = load([preset_path(name) for name in default_presets(building)])
     with open_log(building, settings) as log:
         messages = list(log)
     runs = []

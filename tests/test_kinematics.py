@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mfslam import config, se2
+from mfslam import se2
 from mfslam.config import WheelsConfig
 from mfslam.kinematics import WheelIntegrator, body_twist, move
+from mfslam.settings import load, preset_path
 from mfslam.types import Findings, WheelAngles, WheelTicks
 
 WHEELS = WheelsConfig(radius_left_m=0.1, radius_right_m=0.1, track_m=0.5, ticks_per_turn=1000.0)
@@ -162,7 +163,7 @@ def test_recorded_ticks_give_the_way_that_was_driven(shared_data, name):
     """Real encoders, jumps of single samples included: no step is lost, arcs are as long as their ticks say."""
     from drivers.logs import open_log
 
-    settings = config.load([config.preset_path("urg-04lx"), config.preset_path("urg-text-robot")])
+    settings = load([preset_path("urg-04lx"), preset_path("urg-text-robot")])
     wheels = WheelIntegrator(settings.wheels)
     with open_log(shared_data / "urg04lx" / f"{name}.dat.gz", settings) as log:
         ticks = [message for message in log if isinstance(message, WheelTicks)]

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from mfslam import mapping, se2
-from mfslam.config import Config, load
+from mfslam.config import Config
 from mfslam.deskew import deskew, reference_offset_s
 from mfslam.metrics import crispness
+from mfslam.settings import load
 from mfslam.types import Findings, Laser, MfslamError, Scan
 
 ROOM = (-3.013, -2.021, 4.987, 3.979)  # x_min, y_min, x_max, y_max

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from drivers.simulator import demo_simulation
 from drivers.writers.log import write_log
-from mfslam.config import preset_names
+from mfslam.settings import preset_names
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text("utf-8")

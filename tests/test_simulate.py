@@ -14,10 +14,11 @@ import pytest
 from drivers.logs import default_presets, open_log
 from drivers.simulator import HIT_KINDS, laser_model_names, load_world, world_names
 from drivers.simulator.settings import describe, load_settings
-from mfslam import config, se2
+from mfslam import se2
 from mfslam.cli import main
 from mfslam.metrics import associate, ate
 from mfslam.output.tum import read_tum
+from mfslam.settings import load, preset_path
 from mfslam.types import Odometry, Scan, WheelAngles, WheelTicks
 
 WORLD = """wall -3 -2 5 -2 5 4 -3 4 -3 -2
@@ -78,7 +79,7 @@ def test_every_format_reads_back_with_truth_at_every_scan(
 ) -> None:
     log = tmp_path / name
     said = simulated(capsys, world, "-o", log)
-    with open_log(log, config.load([config.preset_path(p) for p in default_presets(log)])) as reader:
+    with open_log(log, load([preset_path(p) for p in default_presets(log)])) as reader:
         messages = list(reader)
     scans = [m for m in messages if isinstance(m, Scan)]
     assert any(isinstance(m, wheels) for m in messages)
@@ -271,7 +272,7 @@ def test_the_angles_of_a_bag_are_mapped_with_the_told_wheels(
     said = simulated(
         capsys, world, "-o", tmp_path / "a.mcap", "--robot", "tracks", "--set", "robot.odometry=angles"
     )
-    with open_log(tmp_path / "a.mcap", config.load()) as reader:
+    with open_log(tmp_path / "a.mcap", load()) as reader:
         assert any(isinstance(m, WheelAngles) for m in reader)
     wheels = load_settings("tracks").robot.wheels
     assert f"wheels.track_m={wheels.track_m:g}" in map_command(said)

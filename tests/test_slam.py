@@ -18,8 +18,9 @@ from drivers.simulator import (
     simulate,
 )
 from mfslam import se2
-from mfslam.config import Config, load, preset_path
+from mfslam.config import Config
 from mfslam.metrics import ate
+from mfslam.settings import load, preset_path
 from mfslam.slam import Slam, edges_at_stamps
 from mfslam.types import Edge, Findings, MfslamError, Odometry, Scan
 

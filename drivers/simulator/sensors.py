@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.laser_models import LogGeometry, laser_from
-from mfslam import config
+from mfslam.settings import load, preset_path
 from mfslam.types import FloatArray, Laser, MfslamError
 
 
@@ -110,7 +110,7 @@ def laser_preset(name: str) -> str:
 def laser_timing(name: str) -> tuple[float, float]:
     """Period of one turn of the model's mirror, and from scan to scan, s."""
     delivery = _delivery(name)
-    known = config.load([config.preset_path(delivery.preset)]).sensor.turn_period_s
+    known = load([preset_path(delivery.preset)]).sensor.turn_period_s
     return known or delivery.told.turn_period_s or delivery.period_s, delivery.period_s
 
 
@@ -120,7 +120,7 @@ def laser_model(name: str, body_T_laser: FloatArray | tuple[float, float, float]
     The instant of a scan is that of its first sensed beam.
     """
     delivery = _delivery(name)
-    sensor = config.load([config.preset_path(delivery.preset)]).sensor
+    sensor = load([preset_path(delivery.preset)]).sensor
     laser = laser_from(sensor, delivery.told, name=name)
     return LaserModel(
         laser=dataclasses.replace(laser, body_T_laser=np.asarray(body_T_laser, dtype=np.float64)),

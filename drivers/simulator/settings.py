@@ -6,7 +6,6 @@ Layers, later ones win: defaults, a named robot, what the log's format demands, 
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import json
 import math
 from collections.abc import Iterable, Iterator
@@ -19,7 +18,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from drivers.simulator.faults import Faults
 from drivers.simulator.robot import ROBOTS, RobotModel
 from drivers.simulator.sensors import LaserModel, laser_model, laser_model_names, laser_timing
-from mfslam.config import WheelsConfig, _overlay, _parse_setting, _read_yaml
+from mfslam.config import WheelsConfig
+from mfslam.settings import KeyPath, Layers, did_you_mean
 from mfslam.types import MfslamError
 
 _WHEEL_KEYS = ("radius_left_m", "radius_right_m", "track_m", "ticks_per_turn", "swap_sides")
@@ -129,44 +129,46 @@ def load_settings(
     Raises MfslamError with file and line (or the setting) for anything that is not understood.
     """
     if robot not in ROBOTS:
-        raise MfslamError(f"no robot {robot!r}{_nearest(robot, ROBOTS)} Known: {', '.join(ROBOTS)}")
+        raise MfslamError(
+            f"no robot {robot!r}{did_you_mean(robot, ROBOTS) or '.'} Known: {', '.join(ROBOTS)}"
+        )
     merged: dict[str, Any] = dataclasses.asdict(Settings(ROBOTS[robot]))
     merged["robot"]["wheels"] = ROBOTS[robot].wheels.model_dump()
     merged["laser"] = LaserSettings().model_dump()
-    origin: dict[tuple[str, ...], str] = {}
+    layers = Layers(merged)
     for setting in demanded:
-        _overlay(merged, {}, _parse_setting(setting))
+        layers.set(setting)
     for file in files:
-        _overlay(merged, origin, _read_yaml(file))
+        layers.read(file)
     for setting in settings:
         if "=" not in setting:
             raise MfslamError(
                 f"--set {setting}: expected stage.key=value, for example --set faults.drop_share=0.1"
             )
-        _overlay(merged, origin, _parse_setting(setting))
-    return _checked(merged, origin)
+        layers.set(setting)
+    return _checked(layers)
 
 
-def _checked(merged: dict[str, Any], origin: dict[tuple[str, ...], str]) -> Settings:
+def _checked(layers: Layers) -> Settings:
     problems = []
     parts: dict[str, Any] = {}
-    for stage, values in merged.items():
+    for stage, values in layers.values.items():
         if stage not in _STAGES:
-            problems.append(_unknown((stage,), origin))
+            problems.append(_unknown((stage,), layers))
             continue
         if not isinstance(values, dict):
-            problems.append(f"{origin[(stage,)]}: {stage}: expected keys below it, got {values!r}")
+            problems.append(f"{layers.where((stage,))}: {stage}: expected keys below it, got {values!r}")
             continue
-        strangers: list[tuple[str, ...]] = [(stage, key) for key in values if key not in _keys((stage,))]
+        strangers: list[KeyPath] = [(stage, key) for key in values if key not in _keys((stage,))]
         wheels = values.get("wheels")
         if stage == "robot" and isinstance(wheels, dict):
             strangers += [(stage, "wheels", key) for key in wheels if key not in WheelsConfig.model_fields]
-        problems += [_unknown(path, origin) for path in strangers]
+        problems += [_unknown(path, layers) for path in strangers]
         if not strangers:
             try:
                 parts[stage] = _STAGES[stage].validate_python(values)
             except ValidationError as error:
-                problems += [_explain((stage, *map(str, e["loc"])), e["msg"], origin) for e in error.errors()]
+                problems += [_explain((stage, *map(str, e["loc"])), e["msg"], layers) for e in error.errors()]
     if problems:
         raise MfslamError("\n".join(problems))
     settings = Settings(**parts)
@@ -204,28 +206,22 @@ _STAGES: dict[str, TypeAdapter[Any]] = {
 }
 
 
-def _explain(path: tuple[str, ...], message: str, origin: dict[tuple[str, ...], str]) -> str:
-    where = next((origin[path[:n]] for n in range(len(path), 0, -1) if path[:n] in origin), "settings")
+def _explain(path: KeyPath, message: str, layers: Layers) -> str:
     message = message.removeprefix("Value error, ")
     if (
         len(path) > 2 and path[1].isidentifier() and path[1] != "wheels"
     ):  # an item of a list: say what it holds
         message += f"; {dict(_described(path[0]))[path[1]]}"
-    return f"{where}: {'.'.join(path)}: {message}"
+    return f"{layers.where(path)}: {'.'.join(path)}: {message}"
 
 
-def _unknown(path: tuple[str, ...], origin: dict[tuple[str, ...], str]) -> str:
+def _unknown(path: KeyPath, layers: Layers) -> str:
     known = _keys(path[:-1])
-    message = f"no such setting{_nearest(path[-1], known)} (known here: {', '.join(known)})"
-    return _explain(path, message, origin)
+    message = f"no such setting{did_you_mean(path[-1], known)} (known here: {', '.join(known)})"
+    return _explain(path, message, layers)
 
 
-def _nearest(word: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(word, known, n=1)
-    return f"; did you mean {near[0]}?" if near else "."
-
-
-def _keys(path: tuple[str, ...]) -> list[str]:
+def _keys(path: KeyPath) -> list[str]:
     if path == ("robot", "wheels"):
         return list(_WHEEL_KEYS)
     return [key for key, _ in _described(path[0])] if path else list(_STAGES)

@@ -9,7 +9,7 @@ from drivers.logs import default_presets
 from drivers.simulator.sensors import laser_preset, laser_timing
 from drivers.simulator.settings import Settings
 from drivers.writers.log import Format
-from mfslam import config
+from mfslam.settings import load, preset_path
 
 
 def map_arguments(log: Path, kind: Format, settings: Settings) -> list[str]:
@@ -19,7 +19,7 @@ def map_arguments(log: Path, kind: Format, settings: Settings) -> list[str]:
     """
     presets, preset = default_presets(log), laser_preset(settings.laser.name)
     arguments = [] if preset in (*presets, "generic") else ["--preset", preset]
-    assumed = config.load([config.preset_path(name) for name in (*presets, *arguments[1:])])
+    assumed = load([preset_path(name) for name in (*presets, *arguments[1:])])
     for stage, needed in (("sensor", _sensor(kind, settings)), ("wheels", _wheels(kind, settings))):
         known = getattr(assumed, stage)
         for key, value in needed.items():
@@ -36,7 +36,7 @@ def _text(value: bool | float | str) -> str:
 
 def _sensor(kind: Format, settings: Settings) -> dict[str, Any]:
     laser = settings.laser
-    own = config.load([config.preset_path(laser_preset(laser.name))]).sensor
+    own = load([preset_path(laser_preset(laser.name))]).sensor
     needed: dict[str, Any] = {
         "range_sigma_m": laser.range_sigma_m or own.range_sigma_m,
         "transport_delay_s": own.transport_delay_s,

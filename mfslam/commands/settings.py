@@ -7,15 +7,16 @@ from pathlib import Path
 
 from drivers.base import TopicChoice
 from drivers.logs import default_presets
-from mfslam import config
+from mfslam.config import Config
+from mfslam.settings import load, preset_path
 
 
-def config_for(log: Path, args: argparse.Namespace) -> config.Config:
+def config_for(log: Path, args: argparse.Namespace) -> Config:
     """Layers for a log: presets of its format, --preset, --config, --set."""
-    files: list[Path] = [config.preset_path(name) for name in [*default_presets(log), *args.preset]]
+    files: list[Path] = [preset_path(name) for name in [*default_presets(log), *args.preset]]
     if args.config is not None:
         files.append(args.config)
-    return config.load(files, args.settings)
+    return load(files, args.settings)
 
 
 def topics_of(args: argparse.Namespace) -> TopicChoice:

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from mfslam.config import Config, describe
+from mfslam.config import Config
 from mfslam.output import g2o, maps, ply, report, tum
 from mfslam.output.staging import PART_SUFFIX, Staging, cannot_write, check_writable
 from mfslam.output.summary import json_text, summarise
+from mfslam.settings import describe
 from mfslam.types import MfslamError, OccupancyGrid, RunResult
 
 RUN_MARKS = ("summary.json", "map.pgm")

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from drivers.logs import default_presets, open_log
-from mfslam import config as settings
 from mfslam import se2
 from mfslam.deskew import deskew
 from mfslam.metrics import crispness, read_relations, relations_error
+from mfslam.settings import load, preset_path
 from mfslam.slam import Slam, Solution
 from mfslam.types import FloatArray
 
@@ -49,7 +49,7 @@ def logs_at_hand() -> list[Path]:
 
 def map_log(path: Path, variant: str, given: Iterable[str], max_scans: int | None = None) -> LogOutcome:
     """Map a recorded log, or its first scans, with its own presets and the settings ``given``."""
-    config = settings.load([settings.preset_path(name) for name in default_presets(path)], given)
+    config = load([preset_path(name) for name in default_presets(path)], given)
     slam = Slam(config)
     with open_log(path, config) as log:
         for message in takewhile(lambda m: max_scans is None or len(slam.scans) < max_scans, log):

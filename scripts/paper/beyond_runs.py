@@ -11,12 +11,12 @@ import numpy as np
 
 from drivers.simulator import simulate
 from drivers.simulator.simulate import cast_scans
-from mfslam import config as settings
 from mfslam import se2
 from mfslam.config import Config, DeskewConfig
 from mfslam.deskew import deskew, reference_offset_s
 from mfslam.metrics import ate, crispness
 from mfslam.odometry import OdometryTrack
+from mfslam.settings import load, preset_path
 from mfslam.slam import Slam, Solution
 from mfslam.types import DeskewedScan, FloatArray, IntArray, Message, Odometry, Scan
 from paper import cases
@@ -51,8 +51,8 @@ class Method:
 
 @lru_cache(maxsize=64)
 def _config(presets: tuple[str, ...], given: tuple[str, ...]) -> Config:
-    paths = [settings.preset_path(name) for name in ("generic", *presets)]
-    return settings.load(paths, [*FAST, *given])
+    paths = [preset_path(name) for name in ("generic", *presets)]
+    return load(paths, [*FAST, *given])
 
 
 CONVENTIONAL = Method(

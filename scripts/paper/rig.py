@@ -12,10 +12,11 @@ import numpy as np
 from drivers.simulator import LaserModel, Motion, RobotModel, Simulation, World, drive, laser_model, simulate
 from drivers.simulator import load_world as world_named
 from drivers.simulator.simulate import cast_scans
-from mfslam import config, se2
+from mfslam import se2
 from mfslam.config import Config, WheelsConfig
 from mfslam.deskew import beam_times_s
 from mfslam.motion import MotionSources
+from mfslam.settings import load, preset_path
 from mfslam.slam import Slam, Solution
 from mfslam.types import Findings, FloatArray, Message, Scan
 
@@ -51,8 +52,8 @@ def paper_laser(noise: bool = True) -> LaserModel:
 def settings_of(*presets: str, settings: Iterable[str] = ()) -> Config:
     """Settings of the paper's sensor and wheels, with more presets and settings on top."""
     told = [f"wheels.{key}={value}" for key, value in WHEELS.model_dump(exclude_unset=True).items()]
-    files = [config.preset_path(name) for name in ("urg-04lx", *presets)]
-    return config.load(files, [*told, *settings])
+    files = [preset_path(name) for name in ("urg-04lx", *presets)]
+    return load(files, [*told, *settings])
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,8 @@ from log_lines import flaser, odom, rawlaser, robotlaser
 from drivers.base import Log, NoScans, TopicChoice
 from drivers.logs import default_presets, open_log
 from mfslam import se2
-from mfslam.config import Config, SensorConfig, load, preset_path
+from mfslam.config import Config, SensorConfig
+from mfslam.settings import load, preset_path
 from mfslam.types import Message, MfslamError, Odometry, Scan
 
 SICK = load([preset_path("sick-lms200")])

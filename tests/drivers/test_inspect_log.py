@@ -6,7 +6,7 @@ import pytest
 from log_lines import flaser
 
 from drivers.inspect_log import describe_log
-from mfslam.config import load, preset_path
+from mfslam.settings import load, preset_path
 
 SICK = load([preset_path("sick-lms200")])
 

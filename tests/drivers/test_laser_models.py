@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from drivers.beam_timing import ScanTiming, median_gap_s, turn_period_s
 from drivers.laser_models import LogGeometry, clean_ranges, laser_from
-from mfslam.config import SensorConfig, load, preset_names, preset_path
+from mfslam.config import SensorConfig
+from mfslam.settings import load, preset_names, preset_path
 from mfslam.types import Findings
 
 STEP = 2 * math.pi / 1024

@@ -14,7 +14,8 @@ from ros_bags import TF, Make, write_bag
 from drivers.base import Log, NoScans
 from drivers.inspect_log import describe_log
 from drivers.logs import default_presets, open_log
-from mfslam.config import Config, load, preset_path
+from mfslam.config import Config
+from mfslam.settings import load, preset_path
 from mfslam.types import Laser, Message, Odometry, Scan, WheelAngles, WheelTicks
 
 COUNT, T0 = 12, 1_700_000_000

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.inspect_log import describe_log
 from drivers.logs import default_presets, open_log
-from mfslam.config import load, preset_path
+from mfslam.settings import load, preset_path
 from mfslam.types import Scan, WheelTicks
 
 

@@ -14,7 +14,8 @@ from ros_bags import TF, Entry, Make, write_bag
 from drivers.base import Log, NoScans, TopicChoice
 from drivers.logs import detect, open_log
 from drivers.ros_transforms import heading, rotation, yaw_of
-from mfslam.config import Config, load
+from mfslam.config import Config
+from mfslam.settings import load
 from mfslam.types import Imu, Message, MfslamError, Odometry, Scan, WheelAngles
 
 SCAN, ODOM, IMU, JOINTS = (

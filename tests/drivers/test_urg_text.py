@@ -8,7 +8,7 @@ from log_lines import urg
 
 from drivers.base import NoScans, TopicChoice
 from drivers.logs import default_presets, open_log
-from mfslam.config import load, preset_path
+from mfslam.settings import load, preset_path
 from mfslam.types import MfslamError, Scan, WheelTicks
 
 ROBOT = load([preset_path(name) for name in ("urg-04lx", "urg-text-robot")])

@@ -11,9 +11,10 @@ from drivers.logs import default_presets, open_log
 from drivers.simulator import Motion, RobotModel, Simulation, laser_model, load_world, simulate
 from drivers.writers import FORMATS, write_log, write_relations, write_tum
 from drivers.writers.log import format_of, log_stem
-from mfslam import config, se2
+from mfslam import se2
 from mfslam.config import WheelsConfig
 from mfslam.metrics import read_relations, relations_error
+from mfslam.settings import load, preset_path
 from mfslam.types import (
     Imu,
     Laser,
@@ -36,8 +37,8 @@ def simulated(laser: str = "fast", **robot) -> Simulation:
 
 
 def read(path: Path, settings=()) -> list[Message]:
-    presets = [config.preset_path(name) for name in default_presets(path)]
-    with open_log(path, config.load(presets, settings)) as log:
+    presets = [preset_path(name) for name in default_presets(path)]
+    with open_log(path, load(presets, settings)) as log:
         return list(log)
 
 

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from plyfile import PlyData
 
-from mfslam import config
+from mfslam.config import Config
 from mfslam.output import GraphFile, ply, prepare_folder, read_g2o, read_map, read_tum, write_run
+from mfslam.settings import load
 from mfslam.types import Edge, Findings, MfslamError, OccupancyGrid, PointCloud, RunResult
 
 FILES = {
@@ -25,7 +26,7 @@ FILES = {
 
 def written(result: RunResult, folder: Path) -> Path:
     prepare_folder(folder)
-    write_run(result, config.Config(), folder)
+    write_run(result, Config(), folder)
     return folder
 
 
@@ -50,7 +51,7 @@ def test_what_was_written_reads_back(result: RunResult, tmp_path: Path) -> None:
     grid = read_map(folder / "map.yaml")
     np.testing.assert_array_equal(grid.occupancy, result.grid.occupancy)
     np.testing.assert_allclose(grid.origin_m, result.grid.origin_m)
-    assert config.load([folder / "config.yaml"]) == config.Config()
+    assert load([folder / "config.yaml"]) == Config()
 
 
 def test_points_carry_their_own_stamps(result: RunResult, tmp_path: Path) -> None:
@@ -77,7 +78,7 @@ def test_a_run_is_not_overwritten_unasked(result: RunResult, tmp_path: Path) -> 
     with pytest.raises(MfslamError, match=r"already holds a run; give --overwrite"):
         prepare_folder(folder)
     prepare_folder(folder, overwrite=True)
-    write_run(result, config.Config(), folder)
+    write_run(result, Config(), folder)
     assert {p.name for p in folder.iterdir()} == FILES | {"notes.txt"}
 
 
@@ -121,7 +122,7 @@ def test_full_disk_leaves_the_folder_as_it_was(
 
     monkeypatch.setattr(ply, "write_ply", full)
     with pytest.raises(MfslamError, match=r"points\.ply: cannot be written: no space left on device"):
-        write_run(half, config.Config(), tmp_path)
+        write_run(half, Config(), tmp_path)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
@@ -132,7 +133,7 @@ def test_a_limit_of_the_system_on_file_size_is_one_line(result: RunResult, tmp_p
         with pytest.raises(
             MfslamError, match=r"\.(tum|pgm|html|g2o|ply): cannot be written: file too large; free some space"
         ):
-            write_run(result, config.Config(), tmp_path)
+            write_run(result, Config(), tmp_path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert not list(tmp_path.iterdir())
@@ -146,7 +147,7 @@ def test_interrupt_while_writing_leaves_the_folder_as_it_was(
 
     monkeypatch.setattr(ply, "write_ply", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        write_run(result, config.Config(), tmp_path)
+        write_run(result, Config(), tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -174,7 +175,7 @@ def test_the_smallest_run_is_written(tmp_path: Path) -> None:
 def test_a_trajectory_that_is_not_finite_never_reaches_the_disk(result: RunResult, tmp_path: Path) -> None:
     result.world_T_body[3, 1] = np.nan
     with pytest.raises(ValueError, match="not finite"):
-        write_run(result, config.Config(), tmp_path)
+        write_run(result, Config(), tmp_path)
     assert not list(tmp_path.iterdir())
 
 

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mfslam import config
 from mfslam.output import charts, summarise
 from mfslam.output.overlay import weak_edges
 from mfslam.output.report import report_html
 from mfslam.output.tables import caption, section_tables, value_text
+from mfslam.settings import describe
 from mfslam.types import RunResult
 
 VOID = {"meta", "input", "br"}
@@ -40,7 +40,7 @@ class Balance(HTMLParser):
 
 @pytest.fixture
 def page(result: RunResult) -> str:
-    return report_html(result, summarise(result), config.describe())
+    return report_html(result, summarise(result), describe())
 
 
 def test_well_formed_and_self_contained(page: str) -> None:
