@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 from mfslam.config import Config
-from mfslam.settings import describe, load, preset_names, preset_path
+from mfslam.settings import Layers, describe, did_you_mean, load, preset_names, preset_path
 from mfslam.types import MfslamError
 
 
@@ -84,6 +84,23 @@ def test_error_points_at_the_layer_that_said_it(tmp_path):
     assert error_of([good, bad]).startswith(f"{bad}:3: map.min_hits")
     assert load([bad], ["map.min_hits=4"]).map.min_hits == 4
     assert error_of([good], ["map.min_hits=-1"]).startswith("--set map.min_hits=-1: map.min_hits")
+
+
+def test_layers_of_any_stages_remember_who_spoke_last(tmp_path):
+    path = write(tmp_path, "robot:\n  wheels:\n    track_m: 0.4\n")
+    layers = Layers({"robot": {"wheels": {"track_m": 0.3, "swap_sides": False}, "name": "a"}})
+    assert layers.where(("robot", "wheels", "track_m")) == "defaults"
+    layers.read(path)
+    layers.set("robot.name=b")
+    assert layers.values == {"robot": {"wheels": {"track_m": 0.4, "swap_sides": False}, "name": "b"}}
+    assert layers.where(("robot", "wheels", "track_m")) == f"{path}:3"
+    assert layers.where(("robot", "name", "below")) == "--set robot.name=b"
+    assert layers.where(("laser",)) == "defaults"
+
+
+def test_a_near_name_is_offered_and_no_far_one():
+    assert did_you_mean("resolution", ["min_hits", "resolution_m"]) == "; did you mean resolution_m?"
+    assert did_you_mean("zzz", ["min_hits", "resolution_m"]) == ""
 
 
 def test_files_that_are_none(tmp_path):
