@@ -26,8 +26,8 @@ class HeadingTrack:
         self._gaps: list[float] = []  # ends of gaps
         self._compass: list[tuple[float, float]] = []  # time, heading
 
-    def add(self, time_s: float, imu: Imu) -> None:
-        """Messages whose stamp does not advance are passed over."""
+    def add(self, time_s: float, imu: Imu, after_gap: bool = False) -> None:
+        """Messages whose stamp does not advance are passed over. ``after_gap``: turns before it were missed."""
         if imu.yaw_rad is not None and self.config.use_compass:
             self._compass.append((time_s, imu.yaw_rad))
         if imu.yaw_rate_rad_s is None or not self.config.use_gyro:
@@ -39,7 +39,7 @@ class HeadingTrack:
             dt_s = time_s - self._times_s[-1]
             if dt_s <= 0.0:
                 return
-            if dt_s > MAX_GAP_S:
+            if after_gap or dt_s > MAX_GAP_S:
                 self._gaps.append(time_s)
             self._times_s.append(time_s)
             self._yaw_rad.append(self._yaw_rad[-1] + 0.5 * dt_s * (self._rate_rad_s + imu.yaw_rate_rad_s))

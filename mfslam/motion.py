@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from mfslam.frontend import PredictedMotion
 from mfslam.heading import HeadingTrack
 from mfslam.kernels import poses
 from mfslam.kinematics import WheelIntegrator
-from mfslam.odometry import OdometryTrack, is_jump
+from mfslam.odometry import OdometryTrack, begins_anew, is_jump
+from mfslam.stamps import ScanPace, StampClock
 from mfslam.types import (
     Edge,
     Findings,
@@ -29,14 +31,15 @@ from mfslam.types import (
 from mfslam.wheel_errors import WheelErrors, WheelStep
 
 STARTED_M, STARTED_RAD = 0.5, 0.3  # wheels that still show nothing by then are not connected
+COUNTER_JUMP = "wheel-counter-jump"  # the finding of a step that was left out
 LAG_S = 0.5  # odometry older than this says nothing of a scan
 
 
 class MotionSources:
     """Every source of motion but the scans themselves, on one clock.
 
-    ``times_s``: reference instant of every scan, held where stamps go backwards. ``jumps``: scans whose
-    wheel motion was found wrong, here or by the scans.
+    ``times_s``: reference instant of every scan, held where stamps go backwards a little, going on from
+    before where the clock jumps. ``jumps``: scans whose wheel motion was found wrong, here or by the scans.
     """
 
     def __init__(self, config: Config, findings: Findings) -> None:
@@ -53,41 +56,73 @@ class MotionSources:
         self._streamed = False  # whether that pose came in a message of its own
         self._with_scan: FloatArray | None = None  # corrected pose that came with the latest scan
         self._odom_T_body: list[FloatArray | None] = []  # at every scan
-        self._epoch_ns: int | None = None
+        self._clock = StampClock(findings)
+        self._pace = ScanPace()
+        self._scan_s = self._scan_pause_s = 0.0  # the latest scan's time, and the pause before it
+        self._next_gap_s: float | None = None  # from its stamp to that of the scan after it
+
+    def expect(self, following: Scan, waiting: Scan) -> None:
+        """The scan after the one that is about to be placed: stamps close together tell of a burst."""
+        self._next_gap_s = (following.stamp_ns - waiting.stamp_ns) * 1e-9
 
     def add(self, message: Message) -> None:
         """Take note of a message of any kind."""
-        if self._epoch_ns is None:
-            self._epoch_ns = message.stamp_ns
-        time_s = self._seconds(message.stamp_ns)
+        time_s, clock_jump_s = self._clock.place(message)
+        pause_s = max(0.0, clock_jump_s)  # by the stamps alone, a clock set ahead is a log that pauses
         if isinstance(message, Scan):
+            self._scan_s, self._scan_pause_s, self._next_gap_s = time_s, pause_s, None
             told = message.odom_T_body
-            self._with_scan = None if told is None else self._add_odometry(time_s, told, from_scan=True)
+            self._with_scan = None if told is None else self._add_odometry(time_s, told, pause_s, True)
         elif isinstance(message, Odometry):
-            self._add_odometry(time_s, message.odom_T_body)
-        elif isinstance(message, WheelTicks):
-            self._add_odometry(time_s, self._wheels.add_ticks(message).odom_T_body)
-        elif isinstance(message, WheelAngles):
-            self._add_odometry(time_s, self._wheels.add_angles(message).odom_T_body)
+            self._add_odometry(time_s, message.odom_T_body, pause_s)
+        elif isinstance(message, (WheelTicks, WheelAngles)):
+            self._add_wheels(time_s, message, pause_s)
         elif isinstance(message, Imu):
-            self.heading.add(time_s, message)
+            self.heading.add(time_s, message, after_gap=clock_jump_s != 0.0)
 
-    def _add_odometry(self, time_s: float, odom_T_body: FloatArray, from_scan: bool = False) -> FloatArray:
+    def _add_wheels(self, time_s: float, message: WheelTicks | WheelAngles, pause_s: float) -> None:
+        left_out = self.findings.count(COUNTER_JUMP)
+        placed = replace(message, stamp_ns=self._clock.on_time_line(message))
+        told = (
+            self._wheels.add_ticks(placed)
+            if isinstance(placed, WheelTicks)
+            else self._wheels.add_angles(placed)
+        )
+        self._add_odometry(
+            time_s, told.odom_T_body, pause_s, broken=self.findings.count(COUNTER_JUMP) > left_out
+        )
+
+    def _add_odometry(
+        self,
+        time_s: float,
+        odom_T_body: FloatArray,
+        pause_s: float,
+        from_scan: bool = False,
+        broken: bool = False,
+    ) -> FloatArray:
         """The track goes on by the wheels' step, less the errors that are known of them.
 
         A pose that a scan brings from before what a stream of its own has told since stays out of the track:
-        the wheels would seem to jump back and forth.
+        the wheels would seem to jump back and forth. ``broken``: a step is missing before this pose.
         """
         track = self.odometry
         corrected = odom_T_body
         if self._told_T_body is not None:
-            step = self.wheel_errors.corrected(poses.between(self._told_T_body, odom_T_body))
-            corrected = poses.compose(track.odom_T_body[-1], step)
+            if begins_anew(self._told_T_body, odom_T_body):
+                self.findings.add(
+                    "odometry-restart",
+                    "the wheels' pose begins again at its origin: that step was left to the scans",
+                    f"{time_s:.3f} s from the start",
+                )
+                corrected, broken = track.odom_T_body[-1], True
+            else:
+                step = self.wheel_errors.corrected(poses.between(self._told_T_body, odom_T_body))
+                corrected = poses.compose(track.odom_T_body[-1], step)
         if from_scan and self._streamed and time_s < track.times_s[-1]:
             return corrected
         self._streamed = not from_scan
         self._told_T_body = odom_T_body
-        track.add(time_s, corrected)
+        track.add(time_s, corrected, pause_s, broken)
         return corrected
 
     def predict(self, scan: Scan, local_T_body: FloatArray, last_step: FloatArray) -> PredictedMotion:
@@ -96,7 +131,7 @@ class MotionSources:
         ``local_T_body`` (3,), ``last_step`` (3,): where the front end stands, and how it got there.
         """
         laser, config = scan.laser, self.config
-        stamp_s = self._seconds(scan.stamp_ns)
+        stamp_s = self._sensed_s(scan)
         reference_s = stamp_s + reference_offset_s(laser)
         start_s, end_s = stamp_s + float(laser.offsets_s.min()), stamp_s + float(laser.offsets_s.max())
         time_s = max(reference_s, self.times_s[-1]) if self.times_s else reference_s
@@ -109,7 +144,9 @@ class MotionSources:
         step = None
         if odom is not None and previous is not None:
             step = poses.between(previous, odom)
-            if is_jump(step, dt_s, config.odometry) or self.odometry.is_broken(time_s - dt_s, time_s):
+            if is_jump(step, dt_s + self._scan_pause_s, config.odometry) or self.odometry.is_broken(
+                time_s - dt_s, time_s
+            ):
                 self.findings.add(
                     "odometry-jump",
                     "the wheels' pose jumps farther than a robot drives: that step was left to the scans",
@@ -175,9 +212,19 @@ class MotionSources:
         step, errors = self._wheel_steps[i, j], self.wheel_errors
         return Edge("odometry", i, j, errors.corrected(step.told), errors.factor_information(step))
 
-    def _seconds(self, stamp_ns: int) -> float:
-        assert self._epoch_ns is not None
-        return (stamp_ns - self._epoch_ns) * 1e-9
+    def _sensed_s(self, scan: Scan) -> float:
+        """When the scan was sensed, by its stamp; poses that came with scans are as late as they are."""
+        if scan.odom_T_body is not None:
+            return self._scan_s
+        sensed_s = self._pace.sensed_s(self._scan_s, self._next_gap_s)
+        if sensed_s < self._scan_s:
+            self.findings.add(
+                "stamp-burst",
+                "scans come in bursts, stamped on arrival: those before the last of a burst were taken to be "
+                "sensed one usual step apart",
+                f"{scan.stamp_ns * 1e-9:.6f} s, {self._scan_s - sensed_s:.3f} s late",
+            )
+        return sensed_s
 
     def _odometry_at(self, scan: Scan, reference_s: float, local_T_body: FloatArray) -> FloatArray | None:
         """Wheels' pose at the scan's reference instant; None where they say nothing (yet)."""
@@ -188,8 +235,7 @@ class MotionSources:
             offset_s = reference_offset_s(scan.laser)
             if offset_s == 0.0:
                 return self._with_scan
-            stamp_s = self._seconds(scan.stamp_ns)
-            twist = track.twist_over(stamp_s, stamp_s, self.config.odometry)
+            twist = track.twist_over(self._scan_s, self._scan_s, self.config.odometry)
             return se2.compose(self._with_scan, se2.exp(twist * offset_s))
         if not track.times_s[0] - LAG_S <= reference_s <= track.times_s[-1] + LAG_S:
             self.findings.add(

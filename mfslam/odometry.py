@@ -12,6 +12,7 @@ from mfslam.kernels import poses
 from mfslam.types import FloatArray
 
 MIN_TWIST_WINDOW_S = 0.25
+RESTART_AT, RESTART_FROM_M, RESTART_FROM_RAD = 1e-2, 0.5, 0.5  # at the origin (m, rad), from far off
 DISTRUSTED_SHARE = 1e-4  # of the information of a step that the scans contradict
 
 
@@ -26,7 +27,9 @@ class OdometryTrack:
         self.has_moved = False
         self._breaks: list[tuple[float, float]] = []  # knots before and after each jump of the counters
 
-    def add(self, time_s: float, odom_T_body: FloatArray) -> None:
+    def add(self, time_s: float, odom_T_body: FloatArray, pause_s: float = 0.0, broken: bool = False) -> None:
+        """The next pose. ``pause_s``: what may have passed before it beyond ``time_s``; ``broken``: how the
+        robot came there is not known."""
         if self.times_s and time_s < self.times_s[-1]:
             self.backwards_s = max(self.backwards_s, self.times_s[-1] - time_s)
             time_s = self.times_s[-1]
@@ -35,8 +38,10 @@ class OdometryTrack:
                 self.has_moved = bool(np.max(np.abs(odom_T_body - self.odom_T_body[0])) > 1e-3)
             # stamps in bursts are no proof of speed: at least twice the usual time between two readings
             usual_s = (time_s - self.times_s[0]) / len(self.times_s)
-            span_s = max(time_s - self.times_s[-1], 2.0 * usual_s, 0.05)
-            if not is_plausible(poses.between(self.odom_T_body[-1], odom_T_body) / span_s, self._config):
+            span_s = max(time_s - self.times_s[-1], 2.0 * usual_s, 0.05) + pause_s
+            if broken or not is_plausible(
+                poses.between(self.odom_T_body[-1], odom_T_body) / span_s, self._config
+            ):
                 self._breaks.append((self.times_s[-1], time_s))
         self.times_s.append(time_s)
         self.odom_T_body.append(odom_T_body)
@@ -93,6 +98,12 @@ def is_plausible(twist: FloatArray, config: OdometryConfig) -> bool:
     return (
         math.hypot(twist[0], twist[1]) <= config.max_speed_m_s and abs(twist[2]) <= config.max_yaw_rate_rad_s
     )
+
+
+def begins_anew(before: FloatArray, told: FloatArray) -> bool:
+    """Whether wheels that stood at ``before`` (3,) were set back to where their dead reckoning begins."""
+    away = math.hypot(before[0], before[1]) > RESTART_FROM_M or abs(before[2]) > RESTART_FROM_RAD
+    return away and max(abs(float(v)) for v in told) < RESTART_AT
 
 
 def is_jump(step: FloatArray, dt_s: float, config: OdometryConfig) -> bool:

@@ -101,6 +101,8 @@ class Slam:
         """Take the next message of the log. A scan is placed once the next one has come: by then the
         wheels have told the motion through it."""
         if isinstance(message, Scan):
+            if self._waiting is not None:
+                self._motion.expect(message, self._waiting)
             self._place_waiting()
             self._waiting = message
         self._motion.add(message)
