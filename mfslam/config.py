@@ -181,6 +181,11 @@ class FrontendConfig(_Stage):
         lt=1,
         description="Below this share of partnered points a fit is poor and a search is made.",
     )
+    joint_twist: bool = Field(
+        True,
+        description="Without wheels: estimate the twist through a scan together with its match; else take the mean "
+        "motion since the scan before.",
+    )
     search_window_m: float = Field(1.2, gt=0, description="Half window of the recovery search, m.")
     search_angle_deg: float = Field(100.0, gt=0, description="Half window of the recovery search, deg.")
 

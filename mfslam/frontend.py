@@ -11,7 +11,7 @@ import numpy as np
 
 from mfslam import icp
 from mfslam.config import Config
-from mfslam.deskew import deskew
+from mfslam.deskew import beam_times_s, deskew
 from mfslam.kernels import cells, poses
 from mfslam.odometry import step_sigmas
 from mfslam.search import SearchMap, search
@@ -21,6 +21,7 @@ SURPRISE_GATE = 3.0  # sigmas
 SMOOTHING_M, SURFACE_SPACING_M = 0.1, 0.04  # of surfaces made of several scans
 MATCH_SIGMAS = np.array([0.01, 0.01, 0.005])  # of one match, beside those of the wheels (m, m, rad)
 SEARCHED_SIGMAS = np.array([0.3, 0.3, 0.2])  # a searched pose holds only what the scan leaves open
+JOINT_ROUNDS = 2  # of deskewing and solving for pose and twist
 MAX_ACCELERATION = np.array([2.0, 0.5, 4.0])  # of a robot whose wheels are not known (m/s^2, rad/s^2)
 
 
@@ -103,10 +104,10 @@ class Frontend:
         if jump:
             self.wheels_trusted = False
         if (motion.step is None or jump) and motion.dt_s > 0.0 and config.deskew.mode != "none":
-            # nobody told the motion within the scan: take it from the match itself, and match again
-            twist = poses.log(step) / max(motion.dt_s, 0.02)
+            # nobody told the motion within the scan: it is found with the match, and the scan matched again
+            twist, guess = self._motion_within(scan, match, step, motion, searched)
             cloud = deskew(scan, twist, config.deskew, config.icp.point_spacing_m)
-            again = self._match(scan, cloud, match.ref_T_src, motion, free=True)
+            again = self._match(scan, cloud, guess, motion, free=searched)
             if again.inlier_ratio > match.inlier_ratio - 0.05:
                 match, step = again, poses.between(self.local_T_body, again.ref_T_src)
         self.local_T_body, self.last_step = match.ref_T_src, step
@@ -117,6 +118,34 @@ class Frontend:
         if is_keyframe:
             self._add_keyframe(index, cloud)
         return Step(self.local_T_body, match, is_keyframe, searched, jump)
+
+    def _motion_within(
+        self, scan: Scan, match: Match, step: FloatArray, motion: PredictedMotion, searched: bool
+    ) -> tuple[FloatArray, FloatArray]:
+        """Twist (3,) through a scan that no wheels tell of, and where the scan stands with it.
+
+        The mean motion since the scan before, or, with `frontend.joint_twist`, what the scan's own
+        distortion says: as far from that mean as the robot may have accelerated.
+        """
+        config = self.config
+        dt_s = max(motion.dt_s, 0.02)
+        twist = poses.log(step) / dt_s
+        if not config.frontend.joint_twist or config.deskew.mode != "pose":
+            return twist, match.ref_T_src
+        assert self.reference is not None
+        mean, pose = twist, match.ref_T_src
+        sigmas = np.concatenate([free_motion_sigmas(dt_s), MAX_ACCELERATION * dt_s])
+        if searched:
+            sigmas[:3] = SEARCHED_SIGMAS
+        information = np.diag(sigmas**-2)
+        for _ in range(JOINT_ROUNDS):
+            cloud = deskew(scan, twist, config.deskew, config.icp.point_spacing_m)
+            pose, change = icp.register_moving(
+                self.reference, cloud, beam_times_s(scan.laser)[cloud.beams], pose, match.ref_T_src,
+                mean - twist, information, scan.laser.range_sigma_m, config.icp,
+            )  # fmt: skip
+            twist = twist + change
+        return twist, pose
 
     def _surprise(self, predicted: FloatArray, step: FloatArray, motion: PredictedMotion) -> float:
         """How far a step lies from its prediction, in sigmas of the worst direction."""

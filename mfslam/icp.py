@@ -8,9 +8,9 @@ import numpy as np
 
 from mfslam import se2
 from mfslam.config import IcpConfig
-from mfslam.kernels import align, cells, matrices
+from mfslam.kernels import align, align_moving, cells, matrices
 from mfslam.kernels.cells import CellTable
-from mfslam.types import FloatArray, Match
+from mfslam.types import DeskewedScan, FloatArray, Match
 
 CELL_M = 0.25
 NO_PRIOR = np.zeros((3, 3))
@@ -58,6 +58,32 @@ def register(
     if config.method == "point_to_point" and held_information.any():
         pose = _merged(pose, information, held, held_information)
     return Match(pose, information, inlier_ratio, rms_m, iterations, converged)
+
+
+def register_moving(
+    reference: CellTable,
+    cloud: DeskewedScan,
+    times_s: FloatArray,
+    guess: FloatArray,
+    prior_pose: FloatArray,
+    prior_change: FloatArray,
+    prior_information: FloatArray,
+    range_sigma_m: float,
+    config: IcpConfig,
+) -> tuple[FloatArray, FloatArray]:
+    """Where a scan stands in the reference (3,), and how the twist that it was deskewed with has to change
+    (3,): both at once, from the distortion that is left in the scan.
+
+    ``times_s`` (M,): instants of the cloud's points from its reference instant. ``prior_information``
+    (6, 6) of pose and change about ``prior_pose`` and ``prior_change`` (3,).
+    """
+    pose, change, _, _, _, _, converged = align_moving.point_to_line_moving(
+        reference, CELL_M, cloud.points_m, cloud.normals, times_s, guess,
+        np.concatenate([prior_pose, prior_change]), config.independent_share**-1 * prior_information,
+        math.sqrt(2.0) * range_sigma_m, config.kernel_sigmas, 0.5 * config.search_radius_m,
+        config.final_radius_m, config.max_iterations, config.open_share,
+    )  # fmt: skip
+    return (pose, change) if converged else (guess, np.zeros(3))
 
 
 def _closed_form(

@@ -11,7 +11,19 @@ from typing import Any
 import numpy as np
 
 from mfslam import kernels
-from mfslam.kernels import align, cells, correlate, evidence, matrices, poses, raytrace, reach, scans, walls
+from mfslam.kernels import (
+    align,
+    align_moving,
+    cells,
+    correlate,
+    evidence,
+    matrices,
+    poses,
+    raytrace,
+    reach,
+    scans,
+    walls,
+)
 from mfslam.types import FloatArray
 
 
@@ -81,6 +93,22 @@ def _call_registration(points: FloatArray, normals: FloatArray, table: cells.Cel
     align.point_to_line(table, 0.25, points, normals, pose, pose, np.eye(3), 0.02, 3.0, 0.5, 0.1, 3, 0.01)
     align.point_to_point(table, table, 0.25, pose, 0.5, 0.1, 3, True)
     align.rigid_fit(points, points)
+    align_moving.point_to_line_moving(
+        table,
+        0.25,
+        points,
+        normals,
+        np.zeros(len(points)),
+        pose,
+        np.zeros(6),
+        np.eye(6),
+        0.02,
+        3.0,
+        0.5,
+        0.1,
+        3,
+        0.01,
+    )
 
 
 def _call_loop_closure(points: FloatArray) -> None:
