@@ -1,7 +1,8 @@
 """How long a laser's turn takes, where a ROS log tells it badly.
 
 A LaserScan says the time between beams (``time_increment``), but many ROS drivers leave it zero or get it
-wrong by orders of magnitude. What is told is believed when it fits the pace of the scans.
+wrong by orders of magnitude; some fill in ``scan_time`` at least. What is told is believed when it fits the
+pace of the scans, and that is counted over many of them: single ones come in bursts.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ _FOV_TOLERANCE = 0.2
 # far more slowly than it turns, over a serial line or with scans left out
 _MIRRORS_S = (1.0 / 75.0, 0.02, 0.025, 0.04, 1.0 / 15.0, 0.1)
 _MIRROR_TOLERANCE = 0.02
+_PERIODS_S = (0.005, 2.0)  # of lasers' turns; a pace beyond is that of stamps, not of a laser
+_LONG_SHARE = 1 / 6  # of the scans, over which their pace is counted
 
 
 @dataclass(frozen=True)
@@ -28,14 +31,18 @@ class ScanTiming:
     n_beams: int
     angle_step_rad: float
     time_increment_s: float
-    gap_s: float | None  # between stamps; None with fewer than two stamps
+    gap_s: float | None  # between scans by their stamps; None with fewer than two stamps
+    scan_time_s: float = 0.0
 
 
-def median_gap_s(stamps_ns: list[int]) -> float | None:
-    """Median of the gaps that are positive."""
-    gaps = np.diff(np.asarray(stamps_ns, dtype=np.int64))
-    gaps = gaps[gaps > 0]
-    return float(np.median(gaps)) * 1e-9 if gaps.size else None
+def usual_gap_s(stamps_ns: list[int]) -> float | None:
+    """Time from scan to scan: their number over the time they took, the median over all stretches of a
+    sixth of them. Bursts average out; pauses and clock jumps are in few stretches."""
+    stamps = np.asarray(stamps_ns, dtype=np.int64)
+    count = max(1, round(len(stamps) * _LONG_SHARE))
+    spans = stamps[count:] - stamps[:-count]
+    spans = spans[spans > 0]
+    return float(np.median(spans)) * 1e-9 / count if spans.size else None
 
 
 def turn_period_s(timing: ScanTiming, findings: Findings) -> float:
@@ -44,20 +51,33 @@ def turn_period_s(timing: ScanTiming, findings: Findings) -> float:
     told_s = timing.time_increment_s * (timing.n_beams - 1)
     if _is_plausible(told_s, span_rad, timing.gap_s):
         return told_s * 2.0 * math.pi / span_rad
-    if timing.gap_s is None or not span_rad:
+    period_s, source = timing.scan_time_s, "scan_time says"
+    if not (_is_period(period_s) and _fits_pace(period_s, timing.gap_s)):
+        period_s, source = timing.gap_s or 0.0, "the scans come apart"
+    if not _is_period(period_s) or not span_rad:
         findings.add(
             "time-increment-unknown",
-            "time_increment is not given and there are too few scans to derive it: each scan is taken as a "
-            "snapshot; set sensor.turn_period_s",
+            f"time_increment of {timing.time_increment_s:.3g} s is no use, and neither scan_time nor stamps tell "
+            "how fast the laser turns: each scan is taken as a snapshot; set sensor.turn_period_s",
         )
         return 0.0
+    apart = "unknown times" if timing.gap_s is None else f"{timing.gap_s:.3g} s"
     findings.add(
         "time-increment-repaired",
         f"time_increment of {timing.time_increment_s:.3g} s ({told_s:.3g} s for a scan) does not fit scans "
-        f"{timing.gap_s:.3g} s apart: one turn is taken to last {timing.gap_s:.3g} s; "
+        f"{apart} apart: one turn is taken to last {period_s:.3g} s, as {source}; "
         "set sensor.turn_period_s if that is wrong (0: a snapshot)",
     )
-    return timing.gap_s
+    return period_s
+
+
+def _is_period(period_s: float) -> bool:
+    return _PERIODS_S[0] <= period_s <= _PERIODS_S[1]
+
+
+def _fits_pace(period_s: float, gap_s: float | None) -> bool:
+    least, most = _PLAUSIBLE_SHARE
+    return gap_s is None or least * gap_s <= period_s <= most * gap_s
 
 
 def _is_plausible(told_s: float, span_rad: float, gap_s: float | None) -> bool:

@@ -12,7 +12,7 @@ from rosbags.interfaces import Connection
 
 from drivers import ros_topics
 from drivers.base import NoScans, TopicChoice
-from drivers.beam_timing import ScanTiming, median_gap_s, turn_period_s
+from drivers.beam_timing import ScanTiming, turn_period_s, usual_gap_s
 from drivers.ros_messages import header_stamp_ns, step_rad, wheel_joints
 from drivers.ros_reader import BagReader
 from drivers.ros_transforms import TransformTree, frame_name
@@ -111,7 +111,8 @@ def _find_body(reader: BagReader, found: BagSurvey, config: Config, findings: Fi
             n_beams=int(np.median([len(s.ranges) for s in scans])),
             angle_step_rad=float(np.median([step_rad(s) for s in scans])),
             time_increment_s=float(np.median([s.time_increment for s in scans])),
-            gap_s=median_gap_s([header_stamp_ns(s) for s in scans]) or _bag_gap_s(reader, found.scan_topic),
+            scan_time_s=float(np.median([s.scan_time for s in scans])),
+            gap_s=usual_gap_s([header_stamp_ns(s) for s in scans]) or _bag_gap_s(reader, found.scan_topic),
         )
         found.turn_period_s = turn_period_s(timing, findings)
     laser_frame = frame_name(scans[0].header.frame_id) if scans else ""
@@ -143,7 +144,7 @@ def _find_body(reader: BagReader, found: BagSurvey, config: Config, findings: Fi
 def _bag_gap_s(reader: BagReader, topic: str) -> float | None:
     """Pace of the scans by the time of recording, where their stamps do not tell."""
     scans = reader.messages(ros_topics.of_topic(reader.connections, topic))
-    return median_gap_s([time_ns for _, time_ns, _ in islice(scans, _SCANS_LOOKED_AT)])
+    return usual_gap_s([time_ns for _, time_ns, _ in islice(scans, _SCANS_LOOKED_AT)])
 
 
 def _first(reader: BagReader, topic: str | None, count: int) -> Iterator[Any]:

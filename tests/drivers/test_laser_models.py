@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.beam_timing import ScanTiming, median_gap_s, turn_period_s
+from drivers.beam_timing import ScanTiming, turn_period_s, usual_gap_s
 from drivers.laser_models import LogGeometry, clean_ranges, laser_from
 from mfslam.config import SensorConfig
 from mfslam.settings import load, preset_names, preset_path
@@ -145,8 +146,42 @@ def test_a_single_scan_tells_no_pace():
     assert "time-increment-unknown" in findings
 
 
-@given(st.lists(st.integers(1, 10**9), min_size=1, max_size=50))
-def test_median_gap_ignores_steps_back(gaps_ns):
-    stamps = np.cumsum([0, *gaps_ns]).tolist()
-    assert median_gap_s(stamps) == pytest.approx(float(np.median(gaps_ns)) * 1e-9)
-    assert median_gap_s([*stamps, 0]) == pytest.approx(float(np.median(gaps_ns)) * 1e-9)
+def test_scan_time_tells_the_turn_where_time_increment_does_not():
+    """Every other scan left out on purpose: the scans come more slowly than the laser turns."""
+    findings = Findings()
+    told = dataclasses.replace(timing(0.0, gap_s=0.2), scan_time_s=0.1)
+    assert turn_period_s(told, findings) == pytest.approx(0.1)
+    alone = dataclasses.replace(timing(0.0, gap_s=None), scan_time_s=0.1)
+    assert turn_period_s(alone, findings) == pytest.approx(0.1)
+    assert findings.count("time-increment-repaired") == 2
+
+
+@pytest.mark.parametrize("scan_time_s", [0.0, math.nan, -0.1, 0.2, 0.01, 100.0])
+def test_a_scan_time_that_does_not_fit_the_pace_is_not_believed(scan_time_s):
+    told = dataclasses.replace(timing(0.0), scan_time_s=scan_time_s)
+    assert turn_period_s(told, Findings()) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("gap_s", [0.001, 30.0])
+def test_no_laser_turns_as_fast_or_slowly_as_stamps_may_say(gap_s):
+    findings = Findings()
+    assert turn_period_s(timing(0.0, gap_s=gap_s), findings) == 0.0
+    assert "time-increment-unknown" in findings
+
+
+@given(st.integers(1, 10), st.integers(120, 300))
+def test_the_usual_gap_is_that_of_the_laser_although_scans_come_in_bursts(burst, count):
+    """Handed over ``burst`` at a time, 1 ms apart, from a laser of 10 Hz."""
+    stamps = [(k - k % burst + burst - 1) * 10**8 + k % burst * 10**6 for k in range(count)]
+    assert usual_gap_s(stamps) == pytest.approx(0.1, rel=0.3)
+
+
+@given(st.floats(-1e4, 1e4), st.integers(1, 299))
+def test_the_usual_gap_knows_no_clock_jump_and_no_pause(jump_s, place):
+    stamps = [k * 10**8 + (round(jump_s * 1e9) if k >= place else 0) for k in range(300)]
+    assert usual_gap_s(stamps) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("stamps", "gap_s"), [([], None), ([5], None), ([7, 7, 7], None), ([0, 10**8], 0.1)])
+def test_few_stamps_tell_what_they_can(stamps, gap_s):
+    assert usual_gap_s(stamps) == (None if gap_s is None else pytest.approx(gap_s))
