@@ -189,6 +189,39 @@ def laser_cases() -> list[Case]:
     return out
 
 
+def clock_cases() -> list[Case]:
+    """What clocks do to a log, and logs that begin anew in the middle."""
+    robots = {"": demo_robot(), ", no odometry": replace_robot(odometry="none"),
+              ", gyro": replace_robot(gyro_rate_hz=100.0)}  # fmt: skip
+    faults = {
+        "scans in bursts of 4": Faults(burst_scans=4),
+        "scans in bursts of 10": Faults(burst_scans=10),
+        "restart, odometry at zero": Faults(restarts=((33.0, 0.0, 0.0),)),
+        "restart, clock +100 s": Faults(restarts=((33.0, 0.0, 100.0),)),
+        "restart, clock -3 s": Faults(restarts=((33.0, 0.0, -3.0),)),
+        "restart, clock -0.5 s": Faults(restarts=((33.0, 0.0, -0.5),)),
+        "restarts, clock +100 s and back": Faults(restarts=((33.0, 0.0, 100.0), (50.0, 0.0, -100.0))),
+    }
+    ticks, wheels = replace_robot(odometry="ticks"), demo_robot().wheels.model_dump()
+    true_wheels = tuple(f"wheels.{key}={value}" for key, value in wheels.items() if value)
+    out = []
+    for world in ("demo", "office"):
+        make = partial(load_world, world)
+        out += [
+            Case(f"{world}, {fault}{sources}", world, make, fast, robot, faults=spoilt)
+            for fault, spoilt in faults.items()
+            for sources, robot in robots.items()
+            if not sources or (world == "demo" and spoilt.restarts[:1] != ((33.0, 0.0, 0.0),))
+        ]
+        out += [
+            Case(f"{world}, restart, clock +100 s, counters at zero", world, make, fast, ticks,
+                 faults=faults["restart, clock +100 s"], settings=true_wheels),
+            Case(f"{world}, restart after 2 s of silence", world, make, fast,
+                 faults=Faults(restarts=((33.0, 2.0, 0.0),))),
+        ]  # fmt: skip
+    return out
+
+
 def world_cases() -> list[Case]:
     """What the world does to a log."""
     urg = partial(laser_model, "urg-04lx", (0.1, 0.0, 0.0))
@@ -214,4 +247,4 @@ def world_cases() -> list[Case]:
 
 
 def all_cases() -> list[Case]:
-    return [*sensor_cases(), *wheel_cases(), *laser_cases(), *world_cases()]
+    return [*sensor_cases(), *wheel_cases(), *laser_cases(), *clock_cases(), *world_cases()]
