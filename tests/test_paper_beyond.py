@@ -15,13 +15,15 @@ SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 if str(SCRIPTS) not in sys.path:
     sys.path.insert(0, str(SCRIPTS))
 
-from paper import beyond, beyond_logs, beyond_pages  # noqa: E402
+from paper import beyond, beyond_claims, beyond_logs, beyond_pages, beyond_ramps  # noqa: E402
 from paper.beyond_conditions import Condition, hall, laser, motion, ramps  # noqa: E402
+from paper.beyond_logs import LogOutcome  # noqa: E402
 from paper.beyond_plan import QUICK  # noqa: E402
-from paper.beyond_runs import ENGINE, NO_WHEELS, Outcome, Truth, drive_for, run  # noqa: E402
+from paper.beyond_runs import CONSTANT, ENGINE, JOINT, WITHOUT_WHEELS, Method, Outcome, Truth, drive_for, run  # noqa: E402
 from paper.section import Effort  # noqa: E402
 
 from drivers.simulator import Motion  # noqa: E402
+from mfslam.slam import Slam  # noqa: E402
 
 STRAIGHT = Condition(drive="surge", speed_m_s=2.0, share=0.25)
 
@@ -125,7 +127,7 @@ def test_blur_of_the_truth_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def outcome(ate_m: float, ate_deg: float = 0.0) -> Outcome:
-    return Outcome("some way", 0.0, 0.0, 0.0, ate_m, ate_deg, 1.0, 0.0, 0.0, 0)
+    return Outcome("some way", 0.0, 0.0, 0.0, 0.0, ate_m, ate_deg, 1.0, 0.0, 0.0, 0)
 
 
 def test_of_use_needs_both_position_and_heading() -> None:
@@ -148,20 +150,71 @@ def test_lost_drives_are_named_by_rate() -> None:
     assert beyond_pages.named([]) == "none"
 
 
-def test_without_wheels_only_a_known_delay_makes_another_drive() -> None:
+@pytest.mark.parametrize("method", WITHOUT_WHEELS)
+def test_without_wheels_only_a_known_delay_makes_another_drive(method: Method) -> None:
     spoilt = Condition(delay_s=0.1, slip_m_per_sqrt_m=0.05, radius_error=0.1, ticks_per_turn=32)
-    assert drive_for(spoilt, NO_WHEELS) == Condition()
+    assert drive_for(spoilt, method) == Condition()
     assert drive_for(spoilt, ENGINE) == spoilt
-    assert drive_for(replace(spoilt, delay_known=True), NO_WHEELS) == Condition(delay_s=0.1, delay_known=True)
+    assert drive_for(replace(spoilt, delay_known=True), method) == Condition(delay_s=0.1, delay_known=True)
 
 
 def test_without_wheels_their_faults_change_nothing() -> None:
     short = Condition(speed_m_s=4.0, share=0.1)
     spoilt = replace(short, delay_s=0.1, slip_m_per_sqrt_m=0.05, radius_error=0.1, ticks_per_turn=32)
-    outcomes = [asdict(run(Truth(condition), NO_WHEELS)) for condition in (spoilt, short)]
+    outcomes = [asdict(run(Truth(condition), JOINT)) for condition in (spoilt, short)]
     names = [outcome.pop("method") for outcome in outcomes]
     assert names[0] == names[1]
     assert outcomes[0] == pytest.approx(outcomes[1], rel=1e-6)
+
+
+RAMP = Condition(drive="ramps", yaw_rate_rad_s=2.0, rate_hz=5.0, share=0.5)
+
+
+def test_ramps_reach_their_rate_in_half_a_second_both_ways() -> None:
+    ramp = motion(RAMP)
+    rates = ramp.twist_at(np.array([0.5, 1.25, 2.0, 3.25, 3.75, 4.25, 5.0, 7.0]))[:, 2]
+    np.testing.assert_allclose(rates, [0.0, 1.0, 2.0, 1.0, 0.0, -1.0, -2.0, 0.0], atol=0.02)
+    assert np.ptp(ramp.world_T_body[:, :2], axis=0).max() < 1e-9
+
+
+def test_joint_twist_follows_a_ramp_that_a_constant_twist_lags_behind() -> None:
+    watched = beyond_ramps.trace(RAMP)
+    assert watched.rms_rad_s(JOINT) < 0.1 < 0.3 < watched.rms_rad_s(CONSTANT)
+    assert watched.scan_error_m[JOINT.name] < 0.3 * watched.scan_error_m[CONSTANT.name]
+    first = np.flatnonzero(np.abs(watched.mean_rad_s) > 0.1)[0]  # the step before told of a robot at rest
+    assert watched.found_rad_s[CONSTANT.name][first] < watched.mean_rad_s[first]
+
+
+def test_true_mean_of_a_scan_is_that_of_the_moments_in_it() -> None:
+    watched = beyond_ramps.trace(RAMP)
+    for start_s, mean in zip(watched.starts_s, watched.mean_rad_s, strict=True):
+        inside = np.abs(watched.moments_s - start_s - 0.5 * watched.scan_s) <= 0.5 * watched.scan_s
+        assert mean == pytest.approx(watched.true_rad_s[inside].mean(), abs=0.05)
+
+
+@pytest.mark.parametrize("method", WITHOUT_WHEELS)
+def test_watched_front_end_goes_where_the_engine_s_goes(method: Method) -> None:
+    """The twists drawn are those that the engine maps with: its steps follow from the same front end."""
+    truth = Truth(replace(RAMP, share=0.25))
+    slam = Slam(method.config)
+    for message in truth.messages:
+        slam.feed(message)
+    slam.finish()
+    watched = beyond_ramps.watched_frontend(truth.scans, method)
+    np.testing.assert_allclose(watched.local_T_body, slam.steps[-1].local_T_body, atol=1e-6)
+
+
+def test_crisper_map_must_be_so_on_every_log() -> None:
+    def outcomes(log: str, joint: int, constant: int) -> list[LogOutcome]:
+        by_variant = {beyond_logs.JOINT_TWIST: joint, beyond_logs.CONSTANT_TWIST: constant}
+        return [LogOutcome(log, variant, 9, cells, 1.0) for variant, cells in by_variant.items()]
+
+    crisper, blurred = outcomes("a", 90, 100), outcomes("b", 120, 100)
+    assert beyond_claims.logs_claim(crisper).holds
+    claim = beyond_claims.logs_claim([*crisper, *blurred])
+    assert not claim.holds
+    assert claim.ours == "on 1 of 2 logs"
+    assert claim.why == "2 cm cells: a -10.0 %; b +20.0 %"
 
 
 def test_logs_that_are_absent_are_left_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -178,7 +231,10 @@ def test_short_version_measures_draws_and_says_what_it_found(
 ) -> None:
     monkeypatch.setenv("MFSLAM_DATA", str(tmp_path))
     section = beyond.run(Effort(quick=True, jobs=2, figures=tmp_path))
-    pictures = [beyond.FRONTIER_PNG, beyond.FAULT_FRONTIER_PNG, beyond.SCANS_PNG, beyond.FAULTS_PNG]
+    pictures = [
+        *(beyond.FRONTIER_PNG, beyond.FAULT_FRONTIER_PNG, beyond.SCANS_PNG),
+        *(beyond.FAULTS_PNG, beyond.RAMPS_PNG),
+    ]
     for picture in pictures:
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
         assert f"]({picture})" in section.body
@@ -189,5 +245,6 @@ def test_short_version_measures_draws_and_says_what_it_found(
     by_name = {o["method"]: o for o in base["outcomes"]}
     assert by_name["conventional ICP"]["scan_error_m"] > 10.0 * by_name["motion-free ICP"]["scan_error_m"]
     assert by_name["whole engine"]["ate_m"] < 0.02 < by_name["conventional ICP"]["ate_m"]
+    assert len(section.measured["ramps"]) == len(QUICK.ramps())
     json.dumps(section.measured)
     assert all(claim.ours and claim.why for claim in section.claims)

@@ -3,54 +3,76 @@
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from paper import beyond_pages as pages
-from paper.beyond_conditions import ACCELERATION_M_S2, LATERAL_M_S2, YAW_ACCELERATION_RAD_S2, Condition
-from paper.beyond_figures import draw_frontier, draw_panels
-from paper.beyond_logs import LogOutcome, logs_at_hand, map_log
+from paper.beyond_claims import claims
+from paper.beyond_conditions import ACCELERATION_M_S2, LATERAL_M_S2, YAW_ACCELERATION_RAD_S2
+from paper.beyond_figures import draw_frontier, draw_panels, draw_staircases
+from paper.beyond_logs import (
+    CONSTANT_TWIST,
+    JOINT_TWIST,
+    SNAPSHOTS,
+    WHEELS,
+    LogOutcome,
+    logs_at_hand,
+    map_log,
+)
+from paper.beyond_pages import Results
 from paper.beyond_plan import BASE, QUICK, Plan
+from paper.beyond_ramps import Trace, ramps_table, staircases, trace
 from paper.beyond_runs import (
-    CONVENTIONAL,
     ENGINE,
+    JOINT,
     LOST_DEG,
     LOST_M,
+    MEAN_TWIST,
     MOTION_FREE,
     NO_ODOMETRY,
-    NO_WHEELS,
     Measured,
-    Method,
     measure,
-)  # fmt: skip
-from paper.section import Claim, Effort, Section
+)
+from paper.section import Effort, Section
 
 FRONTIER_PNG, FAULT_FRONTIER_PNG = "beyond-frontier.png", "beyond-fault-frontier.png"
-SCANS_PNG, FAULTS_PNG = "beyond-scans.png", "beyond-faults.png"
+SCANS_PNG, FAULTS_PNG, RAMPS_PNG = "beyond-scans.png", "beyond-faults.png", "beyond-ramps.png"
 LOG_VARIANTS: dict[str, tuple[str, ...]] = {
-    "wheels": (),
-    "no wheels, snapshots": (*NO_ODOMETRY, "deskew.mode=none"),
-    "no wheels, twist of the match": NO_ODOMETRY,
+    WHEELS: (),
+    JOINT_TWIST: NO_ODOMETRY,
+    CONSTANT_TWIST: (*NO_ODOMETRY, *MEAN_TWIST),
+    SNAPSHOTS: (*NO_ODOMETRY, "deskew.mode=none"),
 }
 
-Results = dict[Condition, Measured]
+
+@dataclass(frozen=True)
+class Ran:
+    """All that was run: drives in all ways, recorded logs, and the twists through the ramps."""
+
+    results: Results
+    logs: list[LogOutcome]
+    traces: list[Trace]
 
 
 def run(effort: Effort) -> Section:
     """All drives and logs, mapped in all ways."""
     plan = QUICK if effort.quick else Plan()
-    results, logs = run_all(plan, effort.jobs)
+    ran = run_all(plan, effort.jobs)
     if effort.figures is not None:
-        draw(effort.figures, results, plan)
+        draw(effort.figures, ran, plan)
     return Section(
         title="Beyond it: where motion-free ICP stops working, and what takes over",
-        body=body(results, logs, plan),
-        claims=claims(results, plan),
-        measured={"drives": [asdict(m) for m in results.values()], "logs": [asdict(o) for o in logs]},
+        body=body(ran, plan),
+        claims=claims(ran.results, ran.logs, plan),
+        measured={
+            "drives": [asdict(m) for m in ran.results.values()],
+            "logs": [asdict(o) for o in ran.logs],
+            "ramps": [t.figures() for t in ran.traces],
+        },
     )
 
 
-def run_all(plan: Plan, jobs: int) -> tuple[Results, list[LogOutcome]]:
+def run_all(plan: Plan, jobs: int) -> Ran:
     """Every drive and every log at hand, in ``jobs`` processes."""
     drives = plan.drives()
     with ProcessPoolExecutor(jobs) as pool:
@@ -59,71 +81,24 @@ def run_all(plan: Plan, jobs: int) -> tuple[Results, list[LogOutcome]]:
             for path in logs_at_hand()[: plan.max_logs]
             for variant, settings in LOG_VARIANTS.items()
         ]
-        measured = list(pool.map(measure, drives.keys(), drives.values()))
-        return dict(zip(drives, measured, strict=True)), [log.result() for log in logs]
+        measured = pool.map(measure, drives.keys(), drives.values())
+        traces = pool.map(trace, plan.ramps())
+        results = dict(zip(drives, measured, strict=True))
+        return Ran(results, [log.result() for log in logs], list(traces))
 
 
-def draw(folder: Path, results: Results, plan: Plan) -> None:
+def draw(folder: Path, ran: Ran, plan: Plan) -> None:
+    results = ran.results
     draw_frontier(folder / FRONTIER_PNG, pages.frontier_rows(results, plan))
     draw_frontier(folder / FAULT_FRONTIER_PNG, pages.fault_rows(results, plan))
     draw_panels(folder / SCANS_PNG, [pages.scan_panels(results, plan)], 3.3)
     draw_panels(folder / FAULTS_PNG, pages.fault_panels(results, plan), 4.6)
+    draw_staircases(folder / RAMPS_PNG, staircases(ran.traces))
 
 
-def claims(results: Results, plan: Plan) -> list[Claim]:
-    """What this section says in the page's table of claims."""
-    grid = plan.grid()
-    usable = {
-        m.name: {c for c in grid if pages.is_usable(pages.outcome(results, c, m))}
-        for m in (CONVENTIONAL, MOTION_FREE, ENGINE, NO_WHEELS)
-    }
-
-    healthy = [c for c in grid if c in {d for row in (*plan.laps(), *plan.spins()) for d in row}]
-    spoilt = [c for c in grid if c not in healthy]
-
-    def share(method: Method, among: list[Condition]) -> str:
-        return f"{len(usable[method.name] & set(among))} of {len(among)}"
-
-    def lost(method: Method, among: list[Condition]) -> str:
-        return pages.named([c for c in among if c not in usable[method.name]])
-
-    latest = plan.late(False)[-1]
-    told, first = results[plan.late(True)[-1]].of(ENGINE), results[plan.late(False)[0]].of(ENGINE)
-    late = results[latest].of(ENGINE)
-    return [
-        Claim(
-            "Motion-free ICP is free of the robot's motion: also at up to 6 m/s and 4 rad/s, 5 to 40 Hz, with wheels "
-            f"{100 * BASE.radius_error:g} % wrong",
-            f"of use in {share(MOTION_FREE, healthy)} drives; conventional ICP in {share(CONVENTIONAL, healthy)}",
-            set(healthy) <= usable[MOTION_FREE.name],
-            f"not of use: {lost(MOTION_FREE, healthy)}",
-        ),
-        Claim(
-            "It is so with any wheels and clocks: also where wheels slip and stamps are late, unknown to it",
-            f"of use in {share(MOTION_FREE, spoilt)} drives; conventional ICP in {share(CONVENTIONAL, spoilt)}",
-            set(spoilt) <= usable[MOTION_FREE.name],
-            f"not of use: {lost(MOTION_FREE, spoilt)}",
-        ),
-        Claim(
-            "What takes over: the whole engine maps whatever motion-free ICP alone maps, and more",
-            f"of use in {share(ENGINE, grid)} drives, without wheels in {share(NO_WHEELS, grid)}",
-            usable[ENGINE.name] > usable[MOTION_FREE.name],
-            f"not of use: {lost(ENGINE, grid)}; without wheels: {lost(NO_WHEELS, healthy)}",
-        ),
-        Claim(
-            "A transport delay does no harm once it is known",
-            f"{1000 * latest.delay_s:g} ms at 2 rad/s: ATE {pages.in_cm(told.ate_m)} cm {told.ate_deg:.2f} deg told, "
-            f"{pages.in_cm(late.ate_m)} cm {late.ate_deg:.2f} deg not told, "
-            f"{pages.in_cm(first.ate_m)} cm {first.ate_deg:.2f} deg without any",
-            told.ate_m <= 1.5 * first.ate_m < late.ate_m
-            and told.ate_deg <= 1.5 * first.ate_deg < late.ate_deg,
-            "told: within 1.5 times the errors without delay, which untold it exceeds; the engine does not find it out",
-        ),
-    ]
-
-
-def body(results: Results, logs: list[LogOutcome], plan: Plan) -> str:
+def body(ran: Ran, plan: Plan) -> str:
     """The section in markdown."""
+    results = ran.results
     frontier = [*pages.frontier_rows(results, plan), *pages.fault_rows(results, plan)]
     snapshot, ranged = (results[plan.base].scan_error_m[mode] for mode in ("none", "range"))
     return f"""A hall of 46 m by 24 m, a robot that can do it ({ACCELERATION_M_S2:g} m/s2 forward, {LATERAL_M_S2:g} m/s2 in
@@ -135,7 +110,10 @@ made once, with one seed: single cells near the border may fall on either side.
 
 - *conventional*, *motion-free ICP*: the paper's two, alone: the wheels start a match and hold nothing; no search, no loops, no
   second pass;
-- *whole engine*: default settings but `odometry.max_speed_m_s=10` (by default wheels faster than 5 m/s are taken for a jump);
+- *whole engine*: default settings;
+- *no wheels*: the same with `odometry.use=false`. *Joint twist*, the default: the motion through a scan is estimated
+  together with its pose, from the distortion that it left in the scan. *Constant twist* (`frontend.joint_twist=false`): it
+  is taken to be the mean motion since the scan before;
 - of use: ATE up to {pages.USABLE_M:g} m and {pages.USABLE_DEG:g} deg. A step of the front end has failed when it is off by more than
   {LOST_M:g} m or {LOST_DEG:g} deg. Blur: 5 cm cells that the keyframes' points hit, over those that they truly hit.
 
@@ -177,8 +155,24 @@ number along the beam is right ahead of the robot, has the wrong sign behind it,
 
 ### Odometry taken away
 
-{logs_body(logs)}
+{ramps_body(ran)}
+
+{logs_body(ran.logs)}
 """
+
+
+def ramps_body(ran: Ran) -> str:
+    return f"""A robot without wheels that begins to turn, in an office: from rest to its full rate, and back, within a few scans.
+
+![Yaw rate through ramps, true and as believed]({RAMPS_PNG})
+
+A bar is what the front end believes of one scan, as long as that scan took. A constant twist is that of the step before: late
+by as much as the robot turned faster meanwhile, which bends the scan, which spoils the next match.
+
+{ramps_table(ran.results, ran.traces)}
+
+*Left in a scan*: displacement of its points as above, compensated by the front end's twist; *at the end*: by the motion of the
+final trajectory, a mean over about two scans."""
 
 
 def faults_body(results: Results, plan: Plan) -> str:
@@ -186,7 +180,7 @@ def faults_body(results: Results, plan: Plan) -> str:
     slip = results[plan.slipping()[-1]]
     small = results[plan.too_small()[-1]]
     coarse = results[plan.quantised()[-1]]
-    free = pages.outcome(results, plan.base, NO_WHEELS)
+    free = pages.outcome(results, plan.base, JOINT)
 
     def pair(measured: Measured) -> str:
         alone, engine = measured.of(MOTION_FREE), measured.of(ENGINE)

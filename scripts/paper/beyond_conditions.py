@@ -10,7 +10,16 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.simulator import LaserModel, Motion, RobotModel, World, drive, laser_model, parse_world
+from drivers.simulator import (
+    LaserModel,
+    Motion,
+    RobotModel,
+    World,
+    drive,
+    laser_model,
+    load_world,
+    parse_world,
+)
 from mfslam.config import WheelsConfig
 from mfslam.types import FloatArray
 
@@ -21,6 +30,7 @@ OVERLAP_M = 12.0  # the end of a drive goes once more over its beginning
 ACCELERATION_M_S2, LATERAL_M_S2 = 4.0, 6.5
 YAW_RATE_RAD_S, YAW_ACCELERATION_RAD_S2 = 4.0, 8.0
 SPINS = 4
+RAMP_S, TURN_S, REST_S = 0.5, 1.5, 0.5  # of one turn of the ramps
 
 
 @dataclass(frozen=True)
@@ -29,10 +39,11 @@ class Condition:
 
     ``drive``: "lap" goes round the hall at ``speed_m_s``; "spins" turns in place at ``yaw_rate_rad_s`` every
     few metres on the way, both ways; "surge" goes straight on at ``speed_m_s`` on average, speeding up and
-    braking at ``surge_m_s2``. ``share``: of the lap that is driven, 1 with loop closure.
+    braking at ``surge_m_s2``; "ramps" stands in an office and turns left and right by turns, from rest to
+    ``yaw_rate_rad_s`` within half a second. ``share``: of the lap that is driven, 1 with loop closure.
     """
 
-    drive: Literal["lap", "spins", "surge"] = "lap"
+    drive: Literal["lap", "spins", "surge", "ramps"] = "lap"
     speed_m_s: float = 3.0
     yaw_rate_rad_s: float = 1.0
     surge_m_s2: float = 4.0
@@ -85,6 +96,11 @@ def lap_points(share: float) -> FloatArray:
     return np.stack([0.5 * HALL_M[0] + side * x, 0.5 * HALL_M[1] + side * y], axis=-1)
 
 
+def place(condition: Condition) -> World:
+    """The world of a condition."""
+    return load_world("office") if condition.drive == "ramps" else hall(condition.share)
+
+
 def robot(condition: Condition) -> RobotModel:
     """A robot strong enough for 6 m/s and 4 rad/s, with the wheels' faults of the condition."""
     return RobotModel(
@@ -105,9 +121,12 @@ def robot(condition: Condition) -> RobotModel:
 
 def motion(condition: Condition) -> Motion:
     """The true motion of a condition."""
-    world = hall(condition.share)
+    world = place(condition)
     if condition.drive == "lap":
         return drive(world, robot(condition))
+    if condition.drive == "ramps":
+        x, y, yaw = world.start.tolist()
+        return ramps(turns(condition), (x, y, yaw))
     legs = spins(condition) if condition.drive == "spins" else surges(condition)
     rest = [(0.5, 0.0, 0.0, 0.0, 0.0)]
     start = (0.5 * (HALL_M[0] - STRAIGHT_M) - 2.0, 0.5 * HALL_M[1] - BEND_M, 0.0)
@@ -136,6 +155,16 @@ def spins(condition: Condition) -> list[tuple[float, float, float, float, float]
         legs += [(0.25, 0.0, 1.0, 0.0, 0.0), (3.0, 1.0, 1.0, 0.0, 0.0), (0.25, 1.0, 0.0, 0.0, 0.0)]
         legs += [(ramp_s, 0.0, 0.0, 0.0, w), (turn_s, 0.0, 0.0, w, w), (ramp_s, 0.0, 0.0, w, 0.0)]
     return legs
+
+
+def turns(condition: Condition) -> list[tuple[float, float, float, float, float]]:
+    """Turn in place, left and right by turns, with a rest after each."""
+    legs = [(1.0, 0.0, 0.0, 0.0, 0.0)]
+    for n in range(max(1, round(SPINS * condition.share))):
+        w = condition.yaw_rate_rad_s if n % 2 == 0 else -condition.yaw_rate_rad_s
+        legs += [(RAMP_S, 0.0, 0.0, 0.0, w), (TURN_S, 0.0, 0.0, w, w), (RAMP_S, 0.0, 0.0, w, 0.0)]
+        legs.append((REST_S, 0.0, 0.0, 0.0, 0.0))
+    return [*legs, (1.0, 0.0, 0.0, 0.0, 0.0)]
 
 
 def surges(condition: Condition) -> list[tuple[float, float, float, float, float]]:

@@ -140,3 +140,42 @@ def _draw_panel(axis: Axes, panel: Panel, names: Sequence[str]) -> None:
     axis.tick_params(labelsize=7)
     axis.grid(which="major", alpha=0.35)
     axis.spines[["top", "right"]].set_visible(False)
+
+
+@dataclass(frozen=True)
+class Staircase:
+    """Yaw rates (rad/s) through a drive: true at every moment, and what each way believes of every scan, from
+    ``starts_s`` (S,) for ``scan_s``."""
+
+    title: str
+    moments_s: FloatArray
+    true_rad_s: FloatArray
+    starts_s: FloatArray
+    scan_s: float
+    found_rad_s: dict[str, FloatArray]
+    until_s: float
+
+
+def draw_staircases(path: Path, panels: Sequence[Staircase]) -> None:
+    """A panel per drive; every scan is a bar as long as it took."""
+    columns = min(2, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(WIDTH_IN, 2.3 * rows + 0.5), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True)
+    for axis, panel in zip(axes.flat, panels, strict=False):
+        axis.plot(panel.moments_s, panel.true_rad_s, color="#999999", linewidth=3.5, label="true")
+        for n, (name, found) in enumerate(panel.found_rad_s.items(), start=1):
+            ends_s = panel.starts_s + panel.scan_s
+            axis.hlines(found, panel.starts_s, ends_s, COLOURS[n], linewidth=2.6, label=name)
+        axis.set_xlim(0.0, panel.until_s)
+        axis.set_title(panel.title, fontsize=9)
+        axis.tick_params(labelsize=8)
+        axis.grid(which="major", alpha=0.35)
+        axis.spines[["top", "right"]].set_visible(False)
+    for line in axes:
+        line[0].set_ylabel("yaw rate, rad/s", fontsize=8)
+    for axis in axes[-1]:
+        axis.set_xlabel("time, s", fontsize=8)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=8, frameon=False)
+    figure.savefig(path, dpi=130)

@@ -19,6 +19,9 @@ from mfslam.slam import Slam, Solution
 from mfslam.types import FloatArray
 
 CELL_M = 0.02
+# what tells the motion through a scan
+WHEELS, SNAPSHOTS = "wheels", "no wheels, snapshots"
+JOINT_TWIST, CONSTANT_TWIST = "no wheels, joint twist", "no wheels, constant twist"
 LOGS = ("urg04lx/exp2.dat.gz", "urg04lx/exp3.dat.gz", "freiburg/fr079.clf.gz", "freiburg/intel.clf.gz")
 
 

@@ -12,12 +12,13 @@ from paper.beyond_figures import Heat, HeatRow, Panel
 from paper.beyond_logs import LogOutcome
 from paper.beyond_plan import BASE, Plan
 from paper.beyond_runs import (
+    CONSTANT,
     ENGINE,
     FRONTIER,
+    JOINT,
     LADDER,
     MODES,
     MOTION_FREE,
-    NO_WHEELS,
     Measured,
     Method,
     Outcome,
@@ -145,7 +146,7 @@ def scan_panels(results: Results, plan: Plan) -> list[Panel]:
         measured = [results[c] for c in conditions]
         curves = {SCAN_CURVES[mode]: [m.scan_error_m[mode] for m in measured] for mode in MODES}
         curves["pose, optimised motion"] = [outcome(results, c, ENGINE).scan_error_m for c in conditions]
-        free = [outcome(results, c, NO_WHEELS).scan_error_m for c in conditions]
+        free = [outcome(results, c, JOINT).scan_error_m for c in conditions]
         curves["pose, optimised motion, no wheels"] = free
         out.append(Panel(title, label, x, dict(curves), y_label="error left in a scan (RMS), m"))
     return out
@@ -168,7 +169,7 @@ def fault_panels(results: Results, plan: Plan) -> list[list[Panel]]:
     ]
     rows: list[list[Panel]] = [[], []]
     for title, label, values, conditions in faults:
-        methods = (MOTION_FREE, ENGINE, NO_WHEELS)
+        methods = (MOTION_FREE, ENGINE, CONSTANT, JOINT)
         by_method = {m.name: [outcome(results, c, m) for c in conditions] for m in methods}
         ate_m = {name: [o.ate_m for o in outcomes] for name, outcomes in by_method.items()}
         blur = {name: [o.blur for o in outcomes] for name, outcomes in by_method.items()}

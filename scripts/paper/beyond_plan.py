@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 from paper.beyond_conditions import Condition
-from paper.beyond_runs import ENGINE, FRONTIER, LADDER, MOTION_FREE, NO_WHEELS, Method, drive_for
+from paper.beyond_runs import ENGINE, FRONTIER, LADDER, MOTION_FREE, WITHOUT_WHEELS, Method, drive_for
 
 BASE = Condition()
 SPIN = Condition(drive="spins", yaw_rate_rad_s=2.0)
@@ -37,6 +37,8 @@ class Plan:
     pulses: tuple[int, ...] = (2048, 256, 128, 64, 32)
     slips: tuple[float, ...] = (0.001, 0.01, 0.02, 0.05)
     wheel_errors: tuple[float, ...] = (0.0, 0.02, 0.05, 0.1)
+    ramp_rates_rad_s: tuple[float, ...] = (2.0, 4.0)
+    ramp_rates_hz: tuple[float, ...] = (5.0, 10.0)
     hard: tuple[str, ...] = tuple(HARD)
     share: float = 1.0
     max_scans: int | None = None
@@ -94,6 +96,13 @@ class Plan:
     def too_wide(self) -> list[Condition]:
         return [replace(self.turning, track_error=error) for error in self.wheel_errors]
 
+    def ramps(self) -> list[Condition]:
+        """Turns that begin and end within a few scans."""
+        rates = product(self.ramp_rates_hz, self.ramp_rates_rad_s)
+        return [
+            Condition(drive="ramps", yaw_rate_rad_s=w, rate_hz=rate, share=self.share) for rate, w in rates
+        ]
+
     def hard_drives(self) -> dict[str, Condition]:
         return {name: replace(HARD[name], share=self.share) for name in self.hard}
 
@@ -107,11 +116,15 @@ class Plan:
                 wanted.setdefault(drive_for(condition, method), {})[method.name] = method
 
         want(self.grid(), FRONTIER)
-        want((self.lap(v, BASE.rate_hz) for v in (self.slowest_m_s, *self.speeds_m_s)), (ENGINE, NO_WHEELS))
-        want((self.spin(w, BASE.rate_hz) for w in self.yaw_rates_rad_s), (ENGINE, NO_WHEELS))
+        want(
+            (self.lap(v, BASE.rate_hz) for v in (self.slowest_m_s, *self.speeds_m_s)),
+            (ENGINE, *WITHOUT_WHEELS),
+        )
+        want((self.spin(w, BASE.rate_hz) for w in self.yaw_rates_rad_s), (ENGINE, *WITHOUT_WHEELS))
         faults = [*self.quantised(), *self.slipping(), *self.too_small(), *self.too_wide()]
-        want((*self.late(False), *self.late(True), *faults), (MOTION_FREE, ENGINE, NO_WHEELS))
+        want((*self.late(False), *self.late(True), *faults), (MOTION_FREE, ENGINE, *WITHOUT_WHEELS))
         want(self.hard_drives().values(), LADDER)
+        want(self.ramps(), (ENGINE, *WITHOUT_WHEELS))
         in_order = sorted(wanted, key=lambda c: -c.rate_hz / min(c.speed_m_s, c.yaw_rate_rad_s))
         return {condition: list(wanted[condition].values()) for condition in in_order}
 
@@ -125,6 +138,8 @@ QUICK = Plan(
     pulses=(32,),
     slips=(0.05,),
     wheel_errors=(0.1,),
+    ramp_rates_rad_s=(2.0,),
+    ramp_rates_hz=(5.0,),
     hard=("3 m/s, 10 Hz",),
     share=0.25,
     max_scans=60,

@@ -12,7 +12,7 @@ import numpy as np
 from drivers.simulator import simulate
 from drivers.simulator.simulate import cast_scans
 from mfslam import se2
-from mfslam.config import Config, DeskewConfig
+from mfslam.config import Config, DeskewConfig, OdometryConfig
 from mfslam.deskew import deskew, reference_offset_s
 from mfslam.metrics import ate, crispness
 from mfslam.odometry import OdometryTrack
@@ -20,7 +20,7 @@ from mfslam.settings import load, preset_path
 from mfslam.slam import Slam, Solution
 from mfslam.types import DeskewedScan, FloatArray, IntArray, Message, Odometry, Scan
 from paper import cases
-from paper.beyond_conditions import Condition, hall, laser, motion, robot
+from paper.beyond_conditions import Condition, laser, motion, place, robot
 
 LOST_M, LOST_DEG = 0.1, 2.0  # a step of the front end from scan to scan that is farther off has failed
 CELL_M = 0.05
@@ -32,8 +32,8 @@ MODES: tuple[DeskewMode, ...] = get_args(DeskewMode)
 NO_SEARCH = ("frontend.search_window_m=0.001", "frontend.search_angle_deg=0.001")
 NO_LOOPS = ("loops.use=false",)
 NO_SECOND_PASS = ("refine.passes=0", "refine.localise=false")
-FAST = ("odometry.max_speed_m_s=10",)  # the hall's robot is faster than what wheels are believed by default
 NO_ODOMETRY = ("odometry.use=false",)
+MEAN_TWIST = ("frontend.joint_twist=false",)  # of a scan: the mean motion since the one before
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Method:
 @lru_cache(maxsize=64)
 def _config(presets: tuple[str, ...], given: tuple[str, ...]) -> Config:
     paths = [preset_path(name) for name in ("generic", *presets)]
-    return load(paths, [*FAST, *given])
+    return load(paths, given)
 
 
 CONVENTIONAL = Method(
@@ -62,8 +62,10 @@ MOTION_FREE = Method(
     cases.MOTION_FREE.name, cases.MOTION_FREE.presets, (*cases.MOTION_FREE.settings, *NO_SEARCH)
 )
 ENGINE = Method("whole engine")
-NO_WHEELS = Method("whole engine, no wheels", (), NO_ODOMETRY)
-FRONTIER = (CONVENTIONAL, MOTION_FREE, ENGINE, NO_WHEELS)
+CONSTANT = Method("no wheels, constant twist", (), (*NO_ODOMETRY, *MEAN_TWIST))
+JOINT = Method("no wheels, joint twist", (), NO_ODOMETRY)
+WITHOUT_WHEELS = (CONSTANT, JOINT)
+FRONTIER = (CONVENTIONAL, MOTION_FREE, ENGINE, *WITHOUT_WHEELS)
 
 # From the paper's registration to the whole engine, one stage after the other
 LADDER = (
@@ -74,7 +76,7 @@ LADDER = (
     Method("+ search", (), (*NO_LOOPS, *NO_SECOND_PASS)),
     Method("+ loops", (), NO_SECOND_PASS),
     ENGINE,
-    NO_WHEELS,
+    *WITHOUT_WHEELS,
 )
 
 
@@ -82,8 +84,8 @@ LADDER = (
 class Outcome:
     """Errors against the truth of the instants at which scans were really sensed.
 
-    ``step_m``, ``step_deg``: RMS error of the front end's steps from scan to scan; ``lost_share``: of those that
-    failed. ``ate_m``, ``ate_deg``. ``blur``: 5 cm cells hit by the keyframes' points over those they truly hit.
+    ``step_m``, ``step_deg``: RMS error of the front end's steps from scan to scan; ``worst_step_deg``: the
+    largest; ``lost_share``: of those that failed. ``ate_m``, ``ate_deg``. ``blur``: 5 cm cells hit by the keyframes' points over those they truly hit.
     ``scan_error_m``: RMS displacement of a scan's points, compensated by the motion that is finally believed.
     ``searched_share``: scans placed by the correlative search. ``loops``: loop edges in the graph.
     """
@@ -91,6 +93,7 @@ class Outcome:
     method: str
     step_m: float
     step_deg: float
+    worst_step_deg: float
     lost_share: float
     ate_m: float
     ate_deg: float
@@ -123,7 +126,7 @@ class Truth:
 
     def __init__(self, condition: Condition) -> None:
         self.condition = condition
-        self.sensor, self.motion, world = laser(condition), motion(condition), hall(condition.share)
+        self.sensor, self.motion, world = laser(condition), motion(condition), place(condition)
         self.simulation = simulate(
             world, robot(condition), self.sensor, seed=condition.seed, motion=self.motion
         )
@@ -160,7 +163,7 @@ class Truth:
 
     def wheel_twists(self) -> FloatArray:
         """(S, 3) motion through each scan as the wheels tell it, at the times that the stamps tell."""
-        odometry, start_ns = NO_WHEELS.config.odometry, self.simulation.start_ns
+        odometry, start_ns = OdometryConfig(), self.simulation.start_ns
         track = OdometryTrack(odometry)
         for message in self.simulation.messages:
             if isinstance(message, Odometry):
@@ -184,7 +187,7 @@ class Truth:
 def drive_for(condition: Condition, method: Method) -> Condition:
     """The drive that a method's map depends on: without wheels none of their faults does anything to it, nor
     does a delay between clocks that nobody knows of."""
-    if method != NO_WHEELS:
+    if method not in WITHOUT_WHEELS:
         return condition
     return replace(
         condition,
@@ -225,6 +228,7 @@ def run(truth: Truth, method: Method) -> Outcome:
         method=method.name,
         step_m=float(np.sqrt(np.mean(step_m**2))),
         step_deg=float(np.sqrt(np.mean(step_deg**2))),
+        worst_step_deg=float(step_deg.max()),
         lost_share=float(np.mean((step_m > LOST_M) | (step_deg > LOST_DEG))),
         ate_m=absolute.translation_m.rmse,
         ate_deg=absolute.rotation_deg.rmse,
