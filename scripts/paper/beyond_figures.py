@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from mfslam.types import BoolArray, FloatArray
 
-WIDTH_IN = 9.0
+WIDTH_IN, DPI = 9.0, 115
 COLOURS = ("#000000", "#E69F00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9")  # Okabe and Ito
 BORDER = "#D55E00"
 MARKERS = ("o", "s", "^", "D", "v", "P")
@@ -52,7 +52,7 @@ def draw_frontier(path: Path, rows: Sequence[HeatRow]) -> None:
             image = axis.imshow(heat.ate_m, cmap="cividis", norm=norm, aspect="auto", origin="lower")
             _write_cells(axis, heat.ate_m)
             _outline(axis, heat.usable)
-            axis.set_title(heat.title, fontsize=9)
+            axis.set_title(heat.title, fontsize=8)
             axis.set_xticks(range(len(row.columns)), row.columns)
             axis.set_yticks(range(len(row.lines)), row.lines)
             axis.set_xlabel(row.columns_label, fontsize=8)
@@ -63,7 +63,7 @@ def draw_frontier(path: Path, rows: Sequence[HeatRow]) -> None:
     bar.set_label("trajectory error (ATE, RMS), m", fontsize=8)
     bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     bar.ax.tick_params(labelsize=8)
-    figure.savefig(path, dpi=130)
+    figure.savefig(path, dpi=DPI)
 
 
 def _write_cells(axis: Axes, ate_m: FloatArray) -> None:
@@ -119,7 +119,7 @@ def draw_panels(path: Path, rows: Sequence[Sequence[Panel]], height_in: float) -
         fontsize=8,
         frameon=False,
     )
-    figure.savefig(path, dpi=130)
+    figure.savefig(path, dpi=DPI)
 
 
 def _draw_panel(axis: Axes, panel: Panel, names: Sequence[str]) -> None:
@@ -178,4 +178,4 @@ def draw_staircases(path: Path, panels: Sequence[Staircase]) -> None:
         axis.set_xlabel("time, s", fontsize=8)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=8, frameon=False)
-    figure.savefig(path, dpi=130)
+    figure.savefig(path, dpi=DPI)

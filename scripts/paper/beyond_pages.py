@@ -12,13 +12,13 @@ from paper.beyond_figures import Heat, HeatRow, Panel
 from paper.beyond_logs import LogOutcome
 from paper.beyond_plan import BASE, Plan
 from paper.beyond_runs import (
-    CONSTANT,
     ENGINE,
     FRONTIER,
     JOINT,
     LADDER,
     MODES,
     MOTION_FREE,
+    WITH_WHEELS,
     Measured,
     Method,
     Outcome,
@@ -26,6 +26,7 @@ from paper.beyond_runs import (
 )
 
 USABLE_M, USABLE_DEG = 0.1, 2.0  # ATE of a trajectory that is of use
+SPEED, TURNING = "speed, m/s", "turning in place, rad/s"
 SCAN_CURVES = {"none": "snapshot", "range": "range variant", "pose": "pose, wheels"}
 
 Results = Mapping[Condition, Measured]
@@ -64,32 +65,32 @@ def frontier_rows(results: Results, plan: Plan) -> list[HeatRow]:
     rates, label = [f"{rate:g}" for rate in plan.rates_hz], "turns of the laser, Hz"
     speeds, yaw_rates = numbers(plan.speeds_m_s), numbers(plan.yaw_rates_rad_s)
     return [
-        heat_row(results, plan.laps(), speeds, "speed, m/s", rates, label),
-        heat_row(results, plan.spins(), yaw_rates, "turning in place, rad/s", rates, label),
+        heat_row(results, FRONTIER, plan.laps(), speeds, SPEED, rates, label),
+        heat_row(results, FRONTIER, plan.spins(), yaw_rates, TURNING, rates, label),
     ]
 
 
 def fault_rows(results: Results, plan: Plan) -> list[HeatRow]:
-    """What the robot does, over what is wrong with its wheels and clocks; a laser of 10 Hz."""
+    """What the robot does, over what is wrong with its wheels and clocks; a laser of 10 Hz. Without wheels it
+    makes no difference."""
     slips, delays = numbers(in_percent(plan.slips)), numbers(in_ms(plan.delays_s))
     speeds, yaw_rates = numbers(plan.speeds_m_s), numbers(plan.yaw_rates_rad_s)
     return [
-        heat_row(results, plan.slipping_laps(), speeds, "speed, m/s", slips, "slip, cm per root m"),
-        heat_row(
-            results, plan.late_spins(), yaw_rates, "turning in place, rad/s", delays, "unknown delay, ms"
-        ),
+        heat_row(results, WITH_WHEELS, plan.slipping_laps(), speeds, SPEED, slips, "slip, cm per root m"),
+        heat_row(results, WITH_WHEELS, plan.late_spins(), yaw_rates, TURNING, delays, "unknown delay, ms"),
     ]
 
 
 def heat_row(
     results: Results,
+    methods: Sequence[Method],
     grid: Sequence[Sequence[Condition]],
     columns: Sequence[str],
     columns_label: str,
     lines: Sequence[str],
     lines_label: str,
 ) -> HeatRow:
-    return HeatRow([heat(results, grid, m) for m in FRONTIER], columns, columns_label, lines, lines_label)
+    return HeatRow([heat(results, grid, m) for m in methods], columns, columns_label, lines, lines_label)
 
 
 def numbers(values: Sequence[float]) -> list[str]:
@@ -134,7 +135,7 @@ def named(conditions: Sequence[Condition]) -> str:
 
 def scan_panels(results: Results, plan: Plan) -> list[Panel]:
     """Error left in a scan over speed, turning and delay."""
-    speeds = sorted({plan.slowest_m_s, *plan.speeds_m_s})
+    speeds = plan.speeds_m_s
     rate, yaw_rates = BASE.rate_hz, plan.yaw_rates_rad_s
     grids: list[tuple[str, str, Sequence[float], list[Condition]]] = [
         ("round the hall, 10 Hz", "speed, m/s", speeds, [plan.lap(v, rate) for v in speeds]),
@@ -169,7 +170,7 @@ def fault_panels(results: Results, plan: Plan) -> list[list[Panel]]:
     ]
     rows: list[list[Panel]] = [[], []]
     for title, label, values, conditions in faults:
-        methods = (MOTION_FREE, ENGINE, CONSTANT, JOINT)
+        methods = (MOTION_FREE, ENGINE, JOINT)
         by_method = {m.name: [outcome(results, c, m) for c in conditions] for m in methods}
         ate_m = {name: [o.ate_m for o in outcomes] for name, outcomes in by_method.items()}
         blur = {name: [o.blur for o in outcomes] for name, outcomes in by_method.items()}

@@ -65,7 +65,8 @@ ENGINE = Method("whole engine")
 CONSTANT = Method("no wheels, constant twist", (), (*NO_ODOMETRY, *MEAN_TWIST))
 JOINT = Method("no wheels, joint twist", (), NO_ODOMETRY)
 WITHOUT_WHEELS = (CONSTANT, JOINT)
-FRONTIER = (CONVENTIONAL, MOTION_FREE, ENGINE, *WITHOUT_WHEELS)
+WITH_WHEELS = (CONVENTIONAL, MOTION_FREE, ENGINE)
+FRONTIER = (*WITH_WHEELS, *WITHOUT_WHEELS)
 
 # From the paper's registration to the whole engine, one stage after the other
 LADDER = (
