@@ -60,7 +60,7 @@ def draw_frontier(path: Path, rows: Sequence[HeatRow]) -> None:
         line[0].set_ylabel(row.lines_label, fontsize=8)
     assert image is not None
     bar = figure.colorbar(image, ax=axes, fraction=0.03, pad=0.01)
-    bar.set_label("trajectory error (ATE, RMS), m", fontsize=8)
+    bar.set_label("trajectory error (ATE, RMS), m; in cells: cm", fontsize=8)
     bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     bar.ax.tick_params(labelsize=8)
     figure.savefig(path, dpi=DPI)
