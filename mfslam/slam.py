@@ -28,6 +28,7 @@ from mfslam.types import (
     MfslamError,
     Scan,
 )
+from mfslam.wheel_errors import WheelErrors
 
 POOR_FIT, GOOD_FIT = 0.25, 0.65  # inlier ratios between which a match gains its full weight
 WEAK_SIGMA_M = 0.1  # a match less sure than this along some direction is weak
@@ -94,6 +95,11 @@ class Slam:
     def odometry_jumps(self) -> list[int]:
         """Scans whose wheel motion was found wrong."""
         return self._motion.jumps
+
+    @property
+    def wheel_errors(self) -> WheelErrors | None:
+        """What was learned of the wheels; None where there are none."""
+        return self._motion.wheel_errors if self._motion.odometry.has_moved else None
 
     # --- feeding ------------------------------------------------------------------------------------
 

@@ -69,6 +69,15 @@ class WheelErrors:
         self._windows, self._chi2 = np.zeros(3), np.zeros(3)
         self._window = _Window()
 
+    def as_json(self) -> dict[str, object]:
+        """What was learned, in the units of a report."""
+        return {
+            "scale_error_percent": 100.0 * self.scale,
+            "drift_deg_per_m": math.degrees(self.drift_rad_per_m),
+            "turn_error_percent": 100.0 * self.turn_scale,
+            "noise_share": self.noise_share.tolist(),
+        }
+
     def corrected(self, step: FloatArray) -> FloatArray:
         """A step (3,) as told by the wheels, without the errors learned so far."""
         x, y, theta = (float(v) for v in step)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,12 @@ def test_the_demo_is_within_a_cell_of_the_truth(tmp_path: Path, capsys: pytest.C
     summary = json.loads((out / "summary.json").read_text())
     assert summary["truth"]["ate_rms_m"] < 0.01
     assert summary["truth"]["ate_rms_deg"] < 0.2
+    # its wheels: radii 3.12 and 2.84 % smaller than told, 0.35 m apart and 2 % more
+    assert summary["wheels"]["scale_error_percent"] == pytest.approx(-2.98, abs=0.3)
+    assert summary["wheels"]["drift_deg_per_m"] == pytest.approx(
+        math.degrees(0.0028 / 0.357), abs=0.15
+    )  # slip hides the rest
+    assert summary["wheels"]["turn_error_percent"] == pytest.approx(-4.88, abs=0.5)
     said = capsys.readouterr().out
     assert str(out / "map.png") in said and str(out / "demo.mcap") in said
     mapped(out / "demo.mcap", tmp_path / "by_map")

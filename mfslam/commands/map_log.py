@@ -147,6 +147,7 @@ def run_summary(log: Log, slam: Slam, solution: Solution, interrupted: bool, cpu
         "odometry_anomalies": [
             {"scan": n, "stamp_s": slam.scans[n].stamp_ns * 1e-9} for n in slam.odometry_jumps
         ],
+        "wheels": slam.wheel_errors.as_json() if slam.wheel_errors is not None else {},
         "weak_directions": slam.weak_directions(solution.edges),
     }
 

@@ -7,7 +7,7 @@ from html import escape
 from typing import Any
 
 _UNITS = {
-    "_m_s": "m/s", "_rad_s": "rad/s", "_m2": "m²", "_ns": "ns", "_mb": "MB", "_deg": "°", "_rad": "rad",
+    "_deg_per_m": "°/m", "_percent": "%", "_m_s": "m/s", "_rad_s": "rad/s", "_m2": "m²", "_ns": "ns", "_mb": "MB", "_deg": "°", "_rad": "rad",
     "_m": "m", "_s": "s", "_hz": "Hz",
 }  # fmt: skip
 _ELSEWHERE = ("findings", "timings_s", "interrupted")  # these have their own place in the report
