@@ -77,7 +77,7 @@ def register_moving(
     ``times_s`` (M,): instants of the cloud's points from its reference instant. ``prior_information``
     (6, 6) of pose and change about ``prior_pose`` and ``prior_change`` (3,).
     """
-    pose, change, _, _, _, _, converged = align_moving.point_to_line_moving(
+    pose, change, converged = align_moving.point_to_line_moving(
         reference, CELL_M, cloud.points_m, cloud.normals, times_s, guess,
         np.concatenate([prior_pose, prior_change]), config.independent_share**-1 * prior_information,
         math.sqrt(2.0) * range_sigma_m, config.kernel_sigmas, 0.5 * config.search_radius_m,

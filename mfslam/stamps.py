@@ -106,9 +106,8 @@ class ScanPace:
         if next_gap_s is not None and 0.0 <= next_gap_s < BURST_SHARE * usual_s:
             self._together += 1
             self._longest = max(self._longest, self._together)
-            earliest_s = (
-                stamp_s - (self._longest - 1) * usual_s
-            )  # scans lost before the burst are not made up
+            # scans lost before the burst are not made up
+            earliest_s = stamp_s - (self._longest - 1) * usual_s
             sensed_s = min(stamp_s, max(self._sensed_s + usual_s, earliest_s))
         else:
             self._together = 1

@@ -69,6 +69,11 @@ class WheelErrors:
         self._windows, self._chi2 = np.zeros(3), np.zeros(3)
         self._window = _Window()
 
+    @property
+    def noise_scale(self) -> FloatArray:
+        """(3,) how many times noisier than configured the wheels turned out to be; 1 where they are no worse."""
+        return np.asarray(np.sqrt(np.maximum(1.0, self.noise_share)))
+
     def as_json(self) -> dict[str, object]:
         """What was learned, in the units of a report."""
         return {

@@ -25,14 +25,14 @@ from pathlib import Path
 import numpy as np
 from robustness_cases import Case, all_cases
 
-from drivers.simulator import LaserModel, Simulation, simulate
+from drivers.simulator import LaserModel, Simulation, simulate, without_pose
 from mfslam import se2
 from mfslam.deskew import reference_offset_s
 from mfslam.metrics import ate, crispness, rpe
 from mfslam.output import write_atomically
 from mfslam.settings import load, preset_path
 from mfslam.slam import Slam, Solution
-from mfslam.types import Edge, FloatArray, MfslamError, Scan
+from mfslam.types import Edge, FloatArray, MfslamError
 
 FAILED_M = 0.3  # ATE, RMS
 LOST_M, LOST_RAD = 0.3, 0.15  # error of one keyframe step of a front end that is lost
@@ -73,10 +73,7 @@ def make_simulation(case: Case) -> tuple[Simulation, LaserModel]:
     laser = case.laser()
     simulation = simulate(case.world(), case.robot, laser, seed=case.seed, faults=case.faults)
     if not case.odometry_in_scans:  # as from a ROS log
-        simulation.messages[:] = [
-            dataclasses.replace(m, odom_T_body=None) if isinstance(m, Scan) else m
-            for m in simulation.messages
-        ]
+        simulation.messages[:] = [without_pose(m) for m in simulation.messages]
     return simulation, laser
 
 

@@ -18,11 +18,11 @@ HARDLY_HELD = np.diag([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
 START = np.array([0.3, -0.2, 0.4])
 
 
-def registered(walls, pillars, twist, guess_off, information=HARDLY_HELD, mean_twist=STILL):
-    """A scan taken at ``twist`` from START, matched with the walls from a guess and without its twist known."""
+def registered(walls, pillars, start, twist, guess, information, mean_twist=STILL):
+    """A scan taken at ``twist`` from ``start``, matched with the walls from a guess and with another twist
+    assumed of it: pose and twist found."""
     reference = icp.reference_table(np.hstack(oriented_points(walls, pillars, np.zeros(3))))
-    scan = moving_scan(walls, pillars, START, twist, MODEL)
-    guess = se2.compose(START, np.array(guess_off))
+    scan = moving_scan(walls, pillars, start, twist, MODEL)
     pose, found = guess, mean_twist
     for _ in range(3):
         cloud = deskew(scan, found, DeskewConfig())
@@ -36,7 +36,8 @@ def registered(walls, pillars, twist, guess_off, information=HARDLY_HELD, mean_t
 
 @pytest.mark.parametrize("twist", [[1.0, 0.0, 0.0], [0.0, 0.0, 2.0], [2.0, 0.0, -1.5], [-0.5, 0.3, 1.0]])
 def test_a_scan_tells_its_own_twist(twist):
-    pose, found = registered(ROOM, ROOM_PILLARS, np.array(twist), [0.05, -0.05, 0.05])
+    guess = se2.compose(START, np.array([0.05, -0.05, 0.05]))
+    pose, found = registered(ROOM, ROOM_PILLARS, START, np.array(twist), guess, HARDLY_HELD)
     np.testing.assert_allclose(found, twist, atol=0.06)
     error = se2.between(START, pose)
     assert math.hypot(error[0], error[1]) < 0.01
@@ -45,20 +46,10 @@ def test_a_scan_tells_its_own_twist(twist):
 
 def test_along_a_corridor_the_prior_decides():
     """Bare walls tell the turn and the sideways motion of a scan but not the speed along them."""
-    level = np.array([0.0, 0.0, 0.0])
-    reference = icp.reference_table(np.hstack(oriented_points(CORRIDOR, NO_PILLARS, level)))
-    twist = np.array([1.5, 0.0, 1.0])
-    scan = moving_scan(CORRIDOR, NO_PILLARS, level, twist, MODEL)
+    level = np.zeros(3)
+    twist, assumed = np.array([1.5, 0.0, 1.0]), np.array([1.2, 0.0, 0.5])
     held = np.diag(np.array([0.03, 0.03, 0.03, 0.5, 0.5, 0.5]) ** -2.0)
-    assumed = np.array([1.2, 0.0, 0.5])
-    found, pose = assumed, level
-    for _ in range(3):
-        cloud = deskew(scan, found, DeskewConfig())
-        pose, change = icp.register_moving(
-            reference, cloud, beam_times_s(MODEL)[cloud.beams], pose, level, assumed - found, held, 0.01,
-            IcpConfig(),
-        )  # fmt: skip
-        found = found + change
+    _, found = registered(CORRIDOR, NO_PILLARS, level, twist, level, held, assumed)
     assert found[0] == pytest.approx(assumed[0], abs=0.02)
     assert found[2] == pytest.approx(twist[2], abs=0.1)
 

@@ -13,7 +13,7 @@ from drivers.simulator.offices import random_office
 from drivers.simulator.robot import ROBOTS, RobotModel, drive
 from drivers.simulator.sensing import HIT_KINDS, BeamTruth, beam_truth
 from drivers.simulator.sensors import LaserModel, laser_model, laser_model_names
-from drivers.simulator.simulate import Faults, Simulation, simulate
+from drivers.simulator.simulate import Faults, Simulation, simulate, without_pose
 from drivers.simulator.world import World, parse_world
 
 __all__ = [
@@ -35,5 +35,6 @@ __all__ = [
     "parse_world",
     "random_office",
     "simulate",
+    "without_pose",
     "world_names",
 ]

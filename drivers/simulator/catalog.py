@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
 
 from drivers.simulator.offices import random_office_text
 from drivers.simulator.world import DEFAULT_SPEED_M_S, World, parse_world
+from mfslam.settings import did_you_mean
 from mfslam.types import MfslamError
 
 OFFICE = "office:SEED[:ROOMS[:LAPS]]"  # how a random office is asked for
@@ -36,8 +36,7 @@ def world_text(name: str | Path, default_speed_m_s: float = DEFAULT_SPEED_M_S) -
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        near = difflib.get_close_matches(str(name), world_names(), n=1)
-        hint = f"; did you mean {near[0]}?" if near else "."
+        hint = did_you_mean(str(name), world_names()) or "."
         raise MfslamError(
             f"no world and no file {str(name)!r}{hint} Worlds: {', '.join(world_names())}, {OFFICE}"
         ) from None

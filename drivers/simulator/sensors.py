@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.laser_models import LogGeometry, laser_from
-from mfslam.settings import load, preset_path
+from mfslam.settings import did_you_mean, load, preset_path
 from mfslam.types import FloatArray, Laser, MfslamError
 
 
@@ -96,8 +95,7 @@ def laser_model_names() -> list[str]:
 
 def _delivery(name: str) -> _Delivery:
     if name not in _DELIVERIES:
-        near = difflib.get_close_matches(name, _DELIVERIES, n=1)
-        hint = f"; did you mean {near[0]}?" if near else "."
+        hint = did_you_mean(name, _DELIVERIES) or "."
         raise MfslamError(f"no laser model {name!r}{hint} Known: {', '.join(laser_model_names())}")
     return _DELIVERIES[name]
 

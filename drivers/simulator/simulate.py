@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,11 @@ class Simulation:
     @property
     def scans(self) -> list[Scan]:
         return [m for m in self.messages if isinstance(m, Scan)]
+
+
+def without_pose(message: Message) -> Message:
+    """As in a ROS log: scans carry no pose of the wheels, which have messages of their own."""
+    return replace(message, odom_T_body=None) if isinstance(message, Scan) else message
 
 
 def simulate(

@@ -17,7 +17,6 @@ One item per line, metres and degrees, ``#`` starts a comment:
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -27,6 +26,7 @@ import numpy as np
 
 from drivers.simulator.grid import Grid, grid_over
 from drivers.simulator.pursuit import CREEP_M_S
+from mfslam.settings import did_you_mean
 from mfslam.types import FloatArray, MfslamError
 
 GLASS_MIN_COS = math.cos(math.radians(15.0))
@@ -239,8 +239,7 @@ def parse_world(text: str, name: str = "world", default_speed_m_s: float = DEFAU
 
 def _parse_item(draft: _Draft, kind: str, words: list[str]) -> None:
     if kind not in _ITEMS:
-        near = difflib.get_close_matches(kind, _ITEMS, n=1)
-        hint = f"; did you mean {near[0]}?" if near else "."
+        hint = did_you_mean(kind, _ITEMS) or "."
         raise ValueError(f"no such item {kind!r}{hint} Known: {', '.join(_ITEMS)}")
     act, fewest, most, usage = _ITEMS[kind]
     if len(words) < fewest or (most is not None and len(words) > most):

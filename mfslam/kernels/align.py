@@ -10,6 +10,8 @@ from mfslam.kernels.matrices import drop_open_direction, open_direction
 from mfslam.kernels.poses import wrap_angle
 from mfslam.types import FloatArray
 
+MIN_NORMAL_COS = 0.7  # partners face the same way within 45 deg
+
 
 @njit(cache=True, nogil=True, inline="always")
 def _nearest(
@@ -36,6 +38,49 @@ def _nearest(
                         continue
                     best, best_d2 = q, d2
     return best, best_d2
+
+
+@njit(cache=True, nogil=True, inline="always")
+def line_residual(
+    table: CellTable, cell: float, x: float, y: float, own_x: float, own_y: float, radius: float
+) -> tuple[int, float, float, float]:
+    """Of a point and its own normal: 1, the normal of its partner's line and the distance from it; 0 where
+    neither of the two has a normal; -1 without a partner."""
+    rows = table[3]
+    q, _ = _nearest(table, cell, x, y, own_x, own_y, radius, MIN_NORMAL_COS)
+    if q < 0:
+        return -1, 0.0, 0.0, 0.0
+    nx, ny = rows[q, 2], rows[q, 3]
+    if nx == 0.0 and ny == 0.0:
+        nx, ny = own_x, own_y
+    if nx == 0.0 and ny == 0.0:
+        return 0, 0.0, 0.0, 0.0
+    return 1, nx, ny, nx * (x - rows[q, 0]) + ny * (y - rows[q, 1])
+
+
+@njit(cache=True, nogil=True, inline="always")
+def geman_mcclure(r: float, scale: float) -> float:
+    """Weight of a residual."""
+    w = scale * scale / (scale * scale + r * r)
+    return w * w
+
+
+@njit(cache=True, nogil=True, inline="always")
+def error_from(prior: FloatArray, pose: FloatArray) -> tuple[float, float, float]:
+    """From a pose to a prior near it, in the frame of the pose."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    ex, ey = prior[0] - pose[0], prior[1] - pose[1]
+    return c * ex + s * ey, -s * ex + c * ey, wrap_angle(prior[2] - pose[2])
+
+
+@njit(cache=True, nogil=True, inline="always")
+def step_by(pose: FloatArray, dx: float, dy: float, turn: float) -> bool:
+    """Move a pose in its own frame, in place; whether that was next to nothing."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    pose[0] += c * dx - s * dy
+    pose[1] += s * dx + c * dy
+    pose[2] += turn
+    return abs(dx) + abs(dy) < 2e-4 and abs(turn) < 1e-4
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -75,11 +120,8 @@ def _normal_equations(
     Returns the right-hand side b0, b1, b2 of h d = b, the sums of weighted squares and of weights, and the
     number of pairs without any normal.
     """
-    rows = table[3]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     inv_s2 = 1.0 / (sigma * sigma)
-    min_cos = 0.7
-    k2 = scale * scale
     h[:] = 0.0
     b0 = b1 = b2 = 0.0
     sum_r2 = 0.0
@@ -90,18 +132,11 @@ def _normal_equations(
         x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
         wnx = c * normals[i, 0] - s * normals[i, 1]
         wny = s * normals[i, 0] + c * normals[i, 1]
-        q, _ = _nearest(table, cell, x, y, wnx, wny, radius, min_cos)
-        if q < 0:
+        pair, nx, ny, r = line_residual(table, cell, x, y, wnx, wny, radius)
+        if pair <= 0:
+            mute += pair == 0
             continue
-        nx, ny = rows[q, 2], rows[q, 3]
-        if nx == 0.0 and ny == 0.0:
-            nx, ny = wnx, wny
-            if nx == 0.0 and ny == 0.0:
-                mute += 1
-                continue
-        r = nx * (x - rows[q, 0]) + ny * (y - rows[q, 1])
-        w = k2 / (k2 + r * r)
-        w *= w
+        w = geman_mcclure(r, scale)
         # d r / d (right perturbation): rotate the normal into the source frame
         j0, j1 = c * nx + s * ny, -s * nx + c * ny
         j2 = j1 * px - j0 * py
@@ -171,11 +206,7 @@ def point_to_line(
             data = drop_open_direction(h, open_share)
             along = v0 * b0 + v1 * b1
             b0, b1 = b0 - along * v0, b1 - along * v1
-        # error of the pose from the prior, small angles, in the frame of the pose
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        ex, ey = prior[0] - pose[0], prior[1] - pose[1]
-        e0, e1 = c * ex + s * ey, -s * ex + c * ey
-        e2 = wrap_angle(prior[2] - pose[2])
+        e0, e1, e2 = error_from(prior, pose)  # small angles
         for u in range(3):
             for v in range(3):
                 a[u, v] = data[u, v] + prior_information[u, v]
@@ -185,10 +216,7 @@ def point_to_line(
         ok, d0, d1, d2 = _solve3(a, b0, b1, b2)
         if not ok:
             break
-        pose[0] += c * d0 - s * d1
-        pose[1] += s * d0 + c * d1
-        pose[2] += d2
-        small = abs(d0) + abs(d1) < 2e-4 and abs(d2) < 1e-4
+        small = step_by(pose, d0, d1, d2)
         if small and radius <= radius_end:
             converged = True
             break

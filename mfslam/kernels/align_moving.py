@@ -5,13 +5,11 @@ import math
 import numpy as np
 from numba import njit
 
-from mfslam.kernels.align import _nearest
+from mfslam.kernels.align import error_from, geman_mcclure, line_residual, step_by
 from mfslam.kernels.cells import CellTable
 from mfslam.kernels.matrices import open_direction
 from mfslam.kernels.poses import arc, wrap_angle
 from mfslam.types import FloatArray
-
-MIN_NORMAL_COS = 0.7
 
 
 @njit(cache=True, nogil=True)
@@ -60,6 +58,56 @@ def _drop_direction(h: FloatArray, b: FloatArray, v0: float, v1: float) -> None:
             h[k, first + 1] -= along * v1
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _normal_equations(
+    table: CellTable,
+    cell: float,
+    points: FloatArray,
+    normals: FloatArray,
+    times: FloatArray,
+    pose: FloatArray,
+    change: FloatArray,
+    sigma: float,
+    scale: float,
+    radius: float,
+    h: FloatArray,
+    b: FloatArray,
+) -> None:
+    """Fill h (6, 6) and b (6,) of all residuals at a pose and a change of the twist."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    inv_s2 = 1.0 / (sigma * sigma)
+    jacobian = np.empty(3)
+    h[:], b[:] = 0.0, 0.0
+    for i in range(points.shape[0]):
+        t = times[i]
+        ax, ay, turn = arc(change[0] * t, change[1] * t, change[2] * t)
+        ct, st = math.cos(turn), math.sin(turn)
+        px = ax + ct * points[i, 0] - st * points[i, 1]
+        py = ay + st * points[i, 0] + ct * points[i, 1]
+        ox, oy = ct * normals[i, 0] - st * normals[i, 1], st * normals[i, 0] + ct * normals[i, 1]
+        x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
+        pair, nx, ny, r = line_residual(table, cell, x, y, c * ox - s * oy, s * ox + c * oy, radius)
+        if pair <= 0:
+            continue
+        jacobian[0], jacobian[1] = c * nx + s * ny, -s * nx + c * ny
+        jacobian[2] = jacobian[1] * px - jacobian[0] * py
+        wi = geman_mcclure(r, scale) * inv_s2
+        for u in range(3):
+            b[u] -= wi * jacobian[u] * r
+            b[3 + u] -= wi * t * jacobian[u] * r
+            for v in range(u + 1):
+                product = wi * jacobian[u] * jacobian[v]
+                h[u, v] += product
+                h[3 + u, v] += t * product
+                h[3 + u, 3 + v] += t * t * product
+    for u in range(3):
+        for v in range(u + 1):
+            h[3 + v, u] = h[3 + u, v]
+    for u in range(6):
+        for v in range(u):
+            h[v, u] = h[u, v]
+
+
 @njit(cache=True, nogil=True)
 def point_to_line_moving(
     table: CellTable,
@@ -76,7 +124,7 @@ def point_to_line_moving(
     radius_end: float,
     max_iterations: int,
     open_share: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, float, float, int, bool]:
+) -> tuple[FloatArray, FloatArray, bool]:
     """Robust point-to-line registration of a scan whose deskewing is not settled.
 
     A point (M, 2), deskewed so far with some twist, stands at exp(change t) p in the scan's frame, t (M,)
@@ -84,70 +132,20 @@ def point_to_line_moving(
     minimise sum rho(n . (T exp(change t) p - q)) / sigma^2 plus the square of the error from ``prior`` (6,), a
     pose and a change of twist, weighted by ``prior_information`` (6, 6): Gauss-Newton, Jacobians of the twist
     being t times those of the pose.
-    Returns ref_T_src, the change of twist, the information of data and prior (6, 6), the share of points
-    that found their partner, the root mean square of their residuals, iterations, and whether it converged.
+    Returns ref_T_src, the change of twist, and whether it converged.
     """
-    rows = table[3]
     pose, change = guess.copy(), np.zeros(3)
-    h, b = np.zeros((6, 6)), np.zeros(6)
-    jacobian, error = np.empty(3), np.empty(6)
-    radius, weight_sum, rms = radius_start, 0.0, 0.0
-    mute, iteration, converged = 0, 0, False
-    while iteration < max_iterations:
-        iteration += 1
+    h, b, error = np.empty((6, 6)), np.empty(6), np.empty(6)
+    radius = radius_start
+    converged = False
+    for iteration in range(max_iterations):
         scale = max(kernel_sigmas * sigma, 0.25 * radius)
-        k2, inv_s2 = scale * scale, 1.0 / (sigma * sigma)
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        h[:], b[:] = 0.0, 0.0
-        sum_r2, weight_sum, mute = 0.0, 0.0, 0
-        for i in range(points.shape[0]):
-            t = times[i]
-            ax, ay, turn = arc(change[0] * t, change[1] * t, change[2] * t)
-            ct, st = math.cos(turn), math.sin(turn)
-            px = ax + ct * points[i, 0] - st * points[i, 1]
-            py = ay + st * points[i, 0] + ct * points[i, 1]
-            ox, oy = ct * normals[i, 0] - st * normals[i, 1], st * normals[i, 0] + ct * normals[i, 1]
-            x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
-            own_x, own_y = c * ox - s * oy, s * ox + c * oy
-            q, _ = _nearest(table, cell, x, y, own_x, own_y, radius, MIN_NORMAL_COS)
-            if q < 0:
-                continue
-            nx, ny = rows[q, 2], rows[q, 3]
-            if nx == 0.0 and ny == 0.0:
-                nx, ny = own_x, own_y
-                if nx == 0.0 and ny == 0.0:
-                    mute += 1
-                    continue
-            r = nx * (x - rows[q, 0]) + ny * (y - rows[q, 1])
-            w = k2 / (k2 + r * r)
-            w *= w
-            jacobian[0], jacobian[1] = c * nx + s * ny, -s * nx + c * ny
-            jacobian[2] = jacobian[1] * px - jacobian[0] * py
-            wi = w * inv_s2
-            for u in range(3):
-                b[u] -= wi * jacobian[u] * r
-                b[3 + u] -= wi * t * jacobian[u] * r
-                for v in range(u + 1):
-                    product = wi * jacobian[u] * jacobian[v]
-                    h[u, v] += product
-                    h[3 + u, v] += t * product
-                    h[3 + u, 3 + v] += t * t * product
-            sum_r2 += w * r * r
-            weight_sum += w
-        for u in range(3):
-            for v in range(u + 1):
-                h[3 + v, u] = h[3 + u, v]
-        for u in range(6):
-            for v in range(u):
-                h[v, u] = h[u, v]
+        _normal_equations(table, cell, points, normals, times, pose, change, sigma, scale, radius, h, b)
         is_open, v0, v1 = open_direction(h[:3, :3], open_share)
         if is_open:  # what noise feigns along an open direction must not pull against the prior
             _drop_direction(h, b, v0, v1)
-        rms = math.sqrt(sum_r2 / weight_sum) if weight_sum > 0.0 else 0.0
-        ex, ey = prior[0] - pose[0], prior[1] - pose[1]
-        error[0], error[1], error[2] = c * ex + s * ey, -s * ex + c * ey, wrap_angle(prior[2] - pose[2])
-        for u in range(3):
-            error[3 + u] = prior[3 + u] - change[u]
+        error[0], error[1], error[2] = error_from(prior, pose)
+        error[3:] = prior[3:] - change
         for u in range(6):
             for v in range(6):
                 h[u, v] += prior_information[u, v]
@@ -155,15 +153,12 @@ def point_to_line_moving(
         solved, d = _solve_spd(h, b)
         if not solved:
             break
-        pose[0] += c * d[0] - s * d[1]
-        pose[1] += s * d[0] + c * d[1]
-        pose[2] += d[2]
+        small = step_by(pose, d[0], d[1], d[2])
         change += d[3:]
-        small = abs(d[0]) + abs(d[1]) < 2e-4 and abs(d[2]) < 1e-4
         if small and radius <= radius_end:
             converged = True
             break
-        if small or iteration >= 2:
+        if small or iteration >= 1:
             radius = max(radius_end, 0.6 * radius)
     pose[2] = wrap_angle(pose[2])
-    return pose, change, h, weight_sum / max(1, points.shape[0] - mute), rms, iteration, converged
+    return pose, change, converged

@@ -8,15 +8,11 @@ from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 
-import numpy as np
-
 from drivers.logs import default_presets, open_log
-from mfslam import se2
-from mfslam.deskew import deskew
 from mfslam.metrics import crispness, read_relations, relations_error
 from mfslam.settings import load, preset_path
-from mfslam.slam import Slam, Solution
-from mfslam.types import FloatArray
+from mfslam.slam import Slam
+from paper.map_error import MapPoints
 
 CELL_M = 0.02
 # what tells the motion through a scan
@@ -58,7 +54,9 @@ def map_log(path: Path, variant: str, given: Iterable[str], max_scans: int | Non
         for message in takewhile(lambda m: max_scans is None or len(slam.scans) < max_scans, log):
             slam.feed(message)
     solution = slam.finish()
-    crisp = crispness(all_points(slam, solution), CELL_M)
+    poses = solution.world_T_reference
+    points = MapPoints.of(slam.scans, poses, solution.twists, config.deskew)
+    crisp = crispness(points.placed(poses), CELL_M)
     name = path.name.split(".")[0]
     outcome = LogOutcome(name, variant, len(slam.scans), crisp.cells, crisp.entropy_nats)
     truth = path.with_name(f"{name}.relations")
@@ -66,12 +64,3 @@ def map_log(path: Path, variant: str, given: Iterable[str], max_scans: int | Non
         error = relations_error(solution.stamps_ns, solution.world_T_body, read_relations(truth))
         outcome.relations_m, outcome.relations_deg = error.translation_m.mean, error.rotation_deg.mean
     return outcome
-
-
-def all_points(slam: Slam, solution: Solution) -> FloatArray:
-    """(P, 2) hits of all scans, compensated by the motion that was found."""
-    clouds = zip(slam.scans, solution.world_T_reference, solution.twists, strict=True)
-    mode = slam.config.deskew
-    return np.concatenate(
-        [se2.transform(pose, deskew(scan, twist, mode).points_m) for scan, pose, twist in clouds]
-    )

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from drivers.simulator import simulate
+from drivers.simulator import simulate, without_pose
 from drivers.simulator.simulate import cast_scans
 from mfslam import se2
 from mfslam.config import Config, DeskewConfig, OdometryConfig
@@ -18,7 +18,7 @@ from mfslam.metrics import ate, crispness
 from mfslam.odometry import OdometryTrack
 from mfslam.settings import load, preset_path
 from mfslam.slam import Slam, Solution
-from mfslam.types import DeskewedScan, FloatArray, IntArray, Message, Odometry, Scan
+from mfslam.types import DeskewedScan, FloatArray, IntArray, Odometry
 from paper import cases
 from paper.beyond_conditions import Condition, laser, motion, place, robot
 
@@ -198,11 +198,6 @@ def drive_for(condition: Condition, method: Method) -> Condition:
         radius_error=Condition.radius_error,
         track_error=Condition.track_error,
     )
-
-
-def without_pose(message: Message) -> Message:
-    """As in a ROS log: scans carry no pose of the wheels, which have messages of their own."""
-    return replace(message, odom_T_body=None) if isinstance(message, Scan) else message
 
 
 def measure(condition: Condition, methods: Iterable[Method]) -> Measured:
