@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import json
 import sys
 from pathlib import Path
@@ -12,7 +12,7 @@ import pytest
 
 from mfslam.types import MfslamError
 
-SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "benchmark.py"
+SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 
 STAND_IN = """#!{python}
 import json, sys
@@ -31,16 +31,13 @@ summary = {{"counts": {{"scans": 3}}, "distances": {{"travelled_m": 2.0, "log_du
 
 @pytest.fixture
 def benchmark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("benchmark", SCRIPT)
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "benchmark", module)
-    spec.loader.exec_module(module)
+    monkeypatch.syspath_prepend(SCRIPTS)
+    module = importlib.import_module("benchmark")
     command = tmp_path / "bin" / "mfslam"
     command.parent.mkdir()
     command.write_text(STAND_IN.format(python=sys.executable))
     command.chmod(0o755)
-    monkeypatch.setattr(module.sys, "executable", str(command.with_name("python")))
+    monkeypatch.setattr(sys, "executable", str(command.with_name("python")))
     return module
 
 
@@ -82,8 +79,10 @@ def test_every_log_is_run_and_scored(
 
 
 def test_the_page_around_the_tables_is_kept(benchmark: ModuleType, tmp_path: Path) -> None:
+    from benchmarking.page import BEGIN, END
+
     page = tmp_path / "b.md"
-    page.write_text(f"# Mine\n{benchmark.BEGIN}\nold\n{benchmark.END}\nAfter.\n")
+    page.write_text(f"# Mine\n{BEGIN}\nold\n{END}\nAfter.\n")
     benchmark.write_markdown(page, [], "scripts/benchmark.py")
     text = page.read_text()
     assert text.startswith("# Mine\n") and text.endswith("\nAfter.\n") and "old" not in text

@@ -1,0 +1,62 @@
+"""Tables as text and as Markdown, and the page that holds them."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import platform
+from pathlib import Path
+
+from benchmarking.tables import Table
+from mfslam.output import write_atomically
+from mfslam.types import MfslamError
+
+BEGIN, END = "<!-- benchmark: begin -->", "<!-- benchmark: end -->"
+
+
+def as_text(table: Table) -> str:
+    widths = [max(len(row[c]) for row in table) for c in range(len(table[0]))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(w) if c == 0 else cell.rjust(w)
+            for c, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in table
+    )
+
+
+def as_markdown(table: Table) -> str:
+    head, *rows = [f"| {' | '.join(row)} |" for row in table]
+    return "\n".join([head, "|" + " --- |" * len(table[0]), *rows])
+
+
+def machine() -> str:
+    model = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        names = [
+            line.partition(":")[2].strip()
+            for line in cpuinfo.read_text().splitlines()
+            if "model name" in line
+        ]
+        model = names[0] if names else model
+    return f"{model}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+
+
+def write_markdown(path: Path, tables: list[tuple[str, Table]], command: str) -> None:
+    """Replace the part of ``path`` between the markers, or start the page."""
+    section = [
+        BEGIN,
+        "",
+        f"Measured on {datetime.date.today().isoformat()}, {machine()}, with `{command}`.",
+        "",
+    ]
+    for title, table in tables:
+        section += [f"## {title}", "", as_markdown(table), ""]
+    text = path.read_text(encoding="utf-8") if path.is_file() else f"# Benchmarks\n\n{BEGIN}\n{END}\n"
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise MfslamError(f"{path}: expected the markers {BEGIN} and {END}; put them where the tables belong")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, (before + "\n".join(section) + END + after).encode())

@@ -1,0 +1,70 @@
+"""What the runs cost and how good they are, table by table."""
+
+from __future__ import annotations
+
+from benchmarking.runs import Outcome
+
+Table = list[list[str]]
+
+
+def accuracy_table(outcomes: list[Outcome]) -> Table:
+    head = ["log", "relations", "mean m", "median m", "p99 m", "mean deg", "median deg", "p99 deg"]
+    rows = []
+    for o in outcomes:
+        if o.relations is None:
+            continue
+        matched, total = o.relations["matched"], o.relations["matched"] + o.relations["unmatched"]
+        shift, turn = o.relations["translation_m"], o.relations["rotation_deg"]
+        rows.append(
+            [o.log, f"{matched:,} of {total:,}"]
+            + [f"{shift[key]:.4f}" for key in ("mean", "median", "p99")]
+            + [f"{turn[key]:.3f}" for key in ("mean", "median", "p99")]
+        )
+    return [head, *rows]
+
+
+def cost_table(outcomes: list[Outcome]) -> Table:
+    head = ["log", "scans", "travelled m", "log s", "CPU s", "times real time", "peak MB"]
+    rows = []
+    for o in outcomes:
+        if o.failure is None and o.variant == "deskew on":
+            counts, distances = o.summary["counts"], o.summary["distances"]
+            size = [f"{counts['scans']:,}", f"{distances['travelled_m']:.0f}", f"{o.log_s:.0f}"]
+            cost = [f"{o.cpu_s:.1f}", f"{o.real_time_factor:.0f}", f"{o.peak_mb:.0f}"]
+            rows.append([o.log, *size, *cost])
+    return [head, *rows]
+
+
+def crispness_table(outcomes: list[Outcome]) -> Table:
+    head = ["log", "variant", "2 cm cells", "against off", "entropy nats"]
+    plain = {
+        o.log: o.summary["crispness"]["cells"]
+        for o in outcomes
+        if o.variant == "deskew off" and not o.failure
+    }
+    rows = []
+    for o in outcomes:
+        if o.failure is None and o.relations is None:
+            cells = o.summary["crispness"]["cells"]
+            change = f"{100.0 * (cells / plain[o.log] - 1.0):+.1f} %" if o.log in plain else "-"
+            rows.append(
+                [o.log, o.variant, f"{cells:,}", change, f"{o.summary['crispness']['entropy_nats']:.3f}"]
+            )
+    return [head, *rows]
+
+
+def failures_table(outcomes: list[Outcome]) -> Table:
+    return [
+        ["log", "variant", "why it failed"],
+        *([o.log, o.variant, o.failure] for o in outcomes if o.failure),
+    ]
+
+
+def tables(outcomes: list[Outcome]) -> list[tuple[str, Table]]:
+    all_tables = [
+        ("Relations error (Kuemmerle et al. 2009)", accuracy_table(outcomes)),
+        ("Cost of the whole command, kernels compiled", cost_table(outcomes)),
+        ("Crispness of the re-projected points (lower is sharper)", crispness_table(outcomes)),
+        ("Not mapped", failures_table(outcomes)),
+    ]
+    return [(title, table) for title, table in all_tables if len(table) > 1]
