@@ -1,0 +1,44 @@
+"""The map itself: how sharp a cloud of hits is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mfslam.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Crispness:
+    """How sharp a cloud of hits is: cells that hold any, and the entropy of the hits over cells.
+
+    Both are lower for a sharper map of the same scans.
+    """
+
+    cells: int
+    entropy_nats: float
+
+    @property
+    def entropy_bits(self) -> float:
+        return self.entropy_nats / math.log(2.0)
+
+    def as_json(self) -> dict[str, Any]:
+        return {"cells": self.cells, "entropy_nats": self.entropy_nats, "entropy_bits": self.entropy_bits}
+
+
+def crispness(points_m: FloatArray, resolution_m: float = 0.02) -> Crispness:
+    """Crispness of points (P, 2) over cells of ``resolution_m``; entropy is -sum p log p over cells hit."""
+    if len(points_m) == 0:
+        return Crispness(0, 0.0)
+    low, high = np.floor(points_m.min(axis=0) / resolution_m), np.floor(points_m.max(axis=0) / resolution_m)
+    # one column after the other, sorted in place: clouds are large
+    keys = (np.floor(points_m[:, 0] / resolution_m) - low[0]).astype(np.int64)
+    keys *= int(high[1] - low[1]) + 1
+    keys += (np.floor(points_m[:, 1] / resolution_m) - low[1]).astype(np.int64)
+    keys.sort()
+    starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
+    share = np.diff(starts, append=len(keys)) / len(keys)
+    return Crispness(len(share), float(-np.sum(share * np.log(share))))
