@@ -1,5 +1,6 @@
-"""What gtsam solves: the graph of a run's keyframes."""
+"""What gtsam solves: the graph of a run's keyframes; and how sure the solution is."""
 
 from mfslam.graph.keyframe_graph import PRIOR_SIGMAS, SETTLED, PoseGraph
+from mfslam.graph.marginals import GraphInformation
 
-__all__ = ["PRIOR_SIGMAS", "SETTLED", "PoseGraph"]
+__all__ = ["PRIOR_SIGMAS", "SETTLED", "GraphInformation", "PoseGraph"]

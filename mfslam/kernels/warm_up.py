@@ -22,6 +22,7 @@ from mfslam.kernels import (
     raytrace,
     reach,
     scans,
+    selected_inverse,
     walls,
 )
 from mfslam.types import FloatArray
@@ -65,6 +66,7 @@ def call_all() -> None:
     _call_poses(points, normals)
     _call_registration(points, normals, table)
     _call_loop_closure(points)
+    _call_marginals()
     _call_mapping()
 
 
@@ -118,6 +120,13 @@ def _call_loop_closure(points: FloatArray) -> None:
     grid = evidence.evidence_grid(np.zeros((1, 2)), np.array([0, len(points)]), points, corner, 60, 60, 0.1)
     evidence.agreement(grid, corner, 0.1, pose, points)
     reach.relative_sigmas(0, np.zeros((2, 3)), np.array([0, 1, 2]), np.array([1, 0]), np.ones((2, 2)))
+
+
+def _call_marginals() -> None:
+    first, rows = selected_inverse.factor_pattern(np.array([0, 0, 1]), np.array([0]))
+    diagonal, below = np.tile(2.0 * np.eye(3), (2, 1, 1)), -np.eye(3)[None]
+    selected_inverse.factorise(first, rows, diagonal, below)
+    selected_inverse.invert_selected(first, rows, diagonal, below)
 
 
 def _call_mapping() -> None:

@@ -1,0 +1,93 @@
+"""How uncertain every pose of a solved graph is: marginal covariances relative to the first pose."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mfslam import se2
+from mfslam.kernels import selected_inverse
+from mfslam.types import Edge, FloatArray, IntArray
+
+FLOOR = 1e-6  # information that every pose has: 1 km, 1000 rad
+
+
+class GraphInformation:
+    """Information of K poses by E edges at a solution, in the tangents of the poses (right perturbations).
+
+    The first pose is the origin and has no uncertainty: what is said of the others is relative to it.
+    """
+
+    def __init__(self, world_T_body: FloatArray, edges: list[Edge]) -> None:
+        """``world_T_body`` (K, 3). Edges count with the weight that the robust solve left them."""
+        self.count = len(world_T_body)
+        used = [e for e in edges if e.weight > 0.0]
+        self.i = np.array([e.i for e in used], dtype=np.int64)
+        self.j = np.array([e.j for e in used], dtype=np.int64)
+        self.jj = np.array([e.weight * e.information for e in used], dtype=np.float64).reshape(-1, 3, 3)
+        # the residual log(measured^-1 i_T_j) moves by xi_j - Ad(j_T_i) xi_i; that of a unary edge by xi_j alone
+        of_i = -se2.adjoint(se2.between(world_T_body[self.j], world_T_body[self.i]))
+        of_i[self.i == self.j] = 0.0
+        self.ij = np.swapaxes(of_i, 1, 2) @ self.jj
+        self.ii = self.ij @ of_i
+
+    def diagonal(self) -> FloatArray:
+        """(K, 3, 3) information of each pose, the others being known."""
+        out = np.tile(FLOOR * np.eye(3), (self.count, 1, 1))
+        np.add.at(out, self.i, self.ii)
+        np.add.at(out, self.j, self.jj)
+        return out
+
+    def marginals(self) -> FloatArray:
+        """(K, 3, 3) covariance of every pose relative to the first one, in the tangent at the pose."""
+        out = np.zeros((self.count, 3, 3))
+        free = self.count - 1
+        if free < 1:
+            return out
+        binary = (self.i != self.j) & (self.i > 0) & (self.j > 0)
+        i, j, ij = self.i[binary] - 1, self.j[binary] - 1, self.ij[binary]
+        place = _elimination_order(i, j, free)
+        low, high = np.minimum(place[i], place[j]), np.maximum(place[i], place[j])
+        # blocks below the diagonal, (high, low): that of row j and column i is the transpose of ij
+        blocks = np.where((place[j] > place[i])[:, None, None], np.swapaxes(ij, 1, 2), ij)
+        pairs, which = np.unique(high * free + low, return_inverse=True)
+        first, rows = selected_inverse.factor_pattern(
+            np.searchsorted(pairs // free, np.arange(free + 1)), pairs % free
+        )
+        entries = np.repeat(np.arange(free), np.diff(first)) + rows * free  # one key per entry of the factor
+        order = np.argsort(entries)
+        below = np.zeros((len(rows), 3, 3))
+        np.add.at(below, order[np.searchsorted(entries[order], pairs)][which], blocks)
+        diagonal = np.empty((free, 3, 3))
+        diagonal[place] = self.diagonal()[1:]
+        selected_inverse.factorise(first, rows, diagonal, below)
+        selected_inverse.invert_selected(first, rows, diagonal, below)
+        out[1:] = diagonal[place]
+        return out
+
+    def matrix(self) -> Any:
+        """The information of all poses but the first as a scipy.sparse CSC matrix (3K - 3, 3K - 3)."""
+        from scipy.sparse import coo_array
+
+        every = np.arange(self.count)
+        rows, columns = np.concatenate([every, self.i, self.j]), np.concatenate([every, self.j, self.i])
+        blocks = np.concatenate([self.diagonal(), self.ij, np.swapaxes(self.ij, 1, 2)])
+        inner = np.arange(3)
+        at_row = np.broadcast_to(3 * rows[:, None, None] + inner[:, None], blocks.shape)
+        at_column = np.broadcast_to(3 * columns[:, None, None] + inner, blocks.shape)
+        shape = (3 * self.count, 3 * self.count)
+        return coo_array((blocks.ravel(), (at_row.ravel(), at_column.ravel())), shape=shape).tocsc()[3:, 3:]
+
+
+def _elimination_order(i: IntArray, j: IntArray, count: int) -> IntArray:
+    """Place (count,) of every pose in an order that fills the factor little: minimum degree, which scipy's
+    SuperLU finds on the way when it factorises anything of that pattern."""
+    from scipy.sparse import coo_array, eye_array
+    from scipy.sparse.linalg import splu
+
+    links = coo_array((np.full(len(i), -1.0), (i, j)), shape=(count, count))
+    degree = np.bincount(i, minlength=count) + np.bincount(j, minlength=count)
+    pattern = (links + links.T + eye_array(count) * (1.0 + float(degree.max()))).tocsc()
+    factor = splu(pattern, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    return np.asarray(factor.perm_c, dtype=np.int64)
