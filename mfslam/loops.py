@@ -265,9 +265,10 @@ class LoopCloser:
         """chi2 of the loop under the joint marginal of both poses."""
         predicted = poses.between(world_T_body[loop.i], world_T_body[loop.j])
         error = poses.between(predicted, loop.match.ref_T_src)
-        covariance = relative_covariance(loop.i, loop.j) + np.linalg.inv(
-            loop.match.information + 1e-6 * np.eye(3)
-        )
+        own = loop.match.information + 1e-6 * np.eye(3)
+        if float(error @ own @ error) < self.gate_chi2:
+            return True  # within its own noise: what the graph is unsure of beyond that only widens the gate
+        covariance = relative_covariance(loop.i, loop.j) + np.linalg.inv(own)
         return float(error @ np.linalg.solve(covariance, error)) < self.gate_chi2
 
     def _with_partners(self, loop: Loop, inside_gate: bool) -> list[Loop]:

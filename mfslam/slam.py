@@ -161,7 +161,7 @@ class Slam:
 
     def _close_loops(self) -> None:
         with self.clock.time("graph"):
-            world_T_body = self.graph.poses()
+            world_T_body = self.graph.rough_poses()
         with self.clock.time("loop closure"):
             sigma_m = self.scans[-1].laser.range_sigma_m
             loops = self.loops.search(world_T_body, self.graph.relative_covariance, sigma_m)

@@ -108,6 +108,21 @@ def test_a_true_loop_takes_the_drift_out_of_a_square():
     assert [e.weight for e in edges if e.kind == "loop"] == [pytest.approx(1.0)]
 
 
+def test_rough_poses_wait_for_a_loop_that_contradicts_them():
+    truth = dead_reckoned(square())
+    graph = chain(square())
+    slight, grave = se2.compose(truth[20], [0.05, 0.0, 0.0]), se2.compose(truth[40], [0.0, 0.5, 0.0])
+    graph.add_edge(Edge("loop", 0, 20, slight, 1e6 * np.eye(3)))
+    np.testing.assert_array_equal(graph.rough_poses(), chain(square()).rough_poses())
+    graph.add_edge(Edge("loop", 0, 40, grave, 1e6 * np.eye(3)))
+    rough = graph.rough_poses()
+    assert np.abs(rough[40] - truth[40]).max() > 0.2
+    np.testing.assert_array_equal(rough, graph.poses())  # both loops are in by now
+    other = chain(square())
+    other.add_edge(Edge("loop", 0, 20, slight, 1e6 * np.eye(3)))
+    assert np.abs(other.poses()[20] - truth[20]).max() > 0.01  # poses() leaves none out
+
+
 def test_an_edge_taken_out_leaves_no_trace():
     steps = square(drift=math.radians(0.3))
     graph = chain(steps)

@@ -4,6 +4,7 @@ gtsam fails, edges can be taken out again, and the graph can be written at full 
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import gtsam
 import numpy as np
@@ -15,6 +16,7 @@ from mfslam.kernels import poses as pose_kernels
 from mfslam.types import Edge, FloatArray, MfslamError
 
 SETTLED = 0.1  # m or rad: a loop that moves the newest pose less needs no further iteration
+NEAR_M, NEAR_RAD = 0.1, 0.02  # a loop that contradicts the poses by less can wait for a solve
 PRIOR_SIGMAS = np.array([1e-4, 1e-4, 1e-5])  # the first pose defines the world
 
 
@@ -22,7 +24,8 @@ class PoseGraph:
     """Keyframe poses and the edges between them.
 
     New keyframes and edges wait until a loop closes or a marginal is asked for: until then nothing moves,
-    and an update of many poses at once costs little more than one of a single pose.
+    and an update of many poses at once costs little more than one of a single pose. Loops that would hardly
+    move anything wait too, where only rough poses are asked for.
     """
 
     def __init__(self, config: GraphConfig) -> None:
@@ -36,6 +39,7 @@ class PoseGraph:
         self._pending_values = gtsam.Values()
         self._factor_slots: dict[int, int] = {}  # edge number -> slot in iSAM2
         self._removed: set[int] = set()
+        self._is_contradicted = False  # by a loop that waits
 
     def __len__(self) -> int:
         return self._count
@@ -66,6 +70,9 @@ class PoseGraph:
         self.edges.append(edge)
         self._pending_factors.add(self._factor(edge, robust=edge.kind == "loop"))
         self._pending_edges.append(number)
+        if edge.kind == "loop" and not self._is_contradicted:
+            x, y, theta = self._error(edge)
+            self._is_contradicted = math.hypot(x, y) > NEAR_M or abs(theta) > NEAR_RAD
         return number
 
     def remove_edges(self, numbers: list[int]) -> None:
@@ -83,6 +90,13 @@ class PoseGraph:
     def poses(self) -> FloatArray:
         """(K, 3) world_T_body of every keyframe, as the latest solve has them."""
         if any(n >= 0 and self.edges[n].kind == "loop" for n in self._pending_edges):
+            self._flush()
+        return self._poses.copy()
+
+    def rough_poses(self) -> FloatArray:
+        """(K, 3) world_T_body of every keyframe, as exact as a search needs them: solved anew only when a loop
+        contradicts them by more than NEAR_M or NEAR_RAD."""
+        if self._is_contradicted:
             self._flush()
         return self._poses.copy()
 
@@ -174,13 +188,17 @@ class PoseGraph:
             return gtsam.BetweenFactorPose2(edge.i, edge.j, gtsam.Pose2(*edge.i_T_j), noise)
         return factor
 
+    def _error(self, edge: Edge) -> FloatArray:
+        """(3,) from what the edge measured to where the poses stand."""
+        i_T_j = pose_kernels.between(self._poses[edge.i], self._poses[edge.j])
+        error: FloatArray = pose_kernels.between(edge.i_T_j, i_T_j)
+        return error
+
     def _kernel_weight(self, edge: Edge) -> float:
         """What the Cauchy kernel leaves of a scan or loop edge at the poses as they stand."""
         if edge.kind not in ("scan", "loop"):
             return 1.0
-        error = pose_kernels.between(
-            edge.i_T_j, pose_kernels.between(self._poses[edge.i], self._poses[edge.j])
-        )
+        error = self._error(edge)
         chi2 = float(error @ edge.information @ error)
         return 1.0 / (1.0 + chi2 / self.config.loop_kernel_sigmas**2)
 
@@ -210,6 +228,7 @@ class PoseGraph:
             self._rebuild()
         self._pending_factors, self._pending_edges = gtsam.NonlinearFactorGraph(), []
         self._pending_values = gtsam.Values()
+        self._is_contradicted = False
         before = self._poses[-1].copy()
         self._read_back()
         if closes_loop and np.abs(self._poses[-1] - before).max() > SETTLED:
