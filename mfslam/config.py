@@ -186,8 +186,14 @@ class FrontendConfig(_Stage):
         description="Without wheels: estimate the twist through a scan together with its match; else take the mean "
         "motion since the scan before.",
     )
-    search_window_m: float = Field(1.2, gt=0, description="Half window of the recovery search, m.")
-    search_angle_deg: float = Field(100.0, gt=0, description="Half window of the recovery search, deg.")
+    search_window_m: float = Field(
+        8.0,
+        gt=0,
+        description="Half window of the recovery search at most, m: it is as wide as inertia allows.",
+    )
+    search_angle_deg: float = Field(
+        180.0, gt=0, description="Half window of the recovery search at most, deg."
+    )
 
 
 class LoopsConfig(_Stage):

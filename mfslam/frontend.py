@@ -9,20 +9,23 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mfslam import icp
+from mfslam import icp, recovery
 from mfslam.config import Config
 from mfslam.deskew import beam_times_s, deskew
 from mfslam.kernels import cells, poses
 from mfslam.odometry import step_sigmas
-from mfslam.search import SearchMap, search
+from mfslam.recovery import MAX_ACCELERATION, free_motion_sigmas
+from mfslam.search import SearchMap
 from mfslam.types import DeskewedScan, FloatArray, IntArray, Match, Scan
 
 SURPRISE_GATE = 3.0  # sigmas
 SMOOTHING_M, SURFACE_SPACING_M = 0.1, 0.04  # of surfaces made of several scans
 MATCH_SIGMAS = np.array([0.01, 0.01, 0.005])  # of one match, beside those of the wheels (m, m, rad)
 SEARCHED_SIGMAS = np.array([0.3, 0.3, 0.2])  # a searched pose holds only what the scan leaves open
+SEARCHED_M = 15.0  # of the recent map, about the robot
+LOST_SHARE = 0.5  # of min_inlier_ratio: a scan that fits worse says nothing of where the robot is
+JUMP_POINTS = 30  # so many more points must fit where a scan is said to stand against its prediction
 JOINT_ROUNDS = 2  # of deskewing and solving for pose and twist
-MAX_ACCELERATION = np.array([2.0, 0.5, 4.0])  # of a robot whose wheels are not known (m/s^2, rad/s^2)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -31,7 +34,8 @@ class PredictedMotion:
 
     ``twist`` (3,): body velocity during the scan. ``dt_s``: time since the previous scan. ``step`` (3,):
     wheel motion since the previous scan; None without wheels. ``turn_rad``: the gyro's turn since then.
-    ``noise_scale`` (3,): how many times noisier than configured the wheels turned out to be.
+    ``noise_scale`` (3,): how many times noisier than configured the wheels turned out to be. ``pause_s``:
+    what may have passed since the previous scan beyond ``dt_s``.
     """
 
     twist: FloatArray
@@ -39,6 +43,7 @@ class PredictedMotion:
     step: FloatArray | None = None
     turn_rad: float | None = None
     noise_scale: FloatArray = field(default_factory=lambda: np.ones(3))
+    pause_s: float = 0.0
 
 
 NOTHING_KNOWN = PredictedMotion(np.zeros(3), 0.0)
@@ -55,13 +60,19 @@ class Keyframe:
 
 @dataclass(eq=False, slots=True)
 class Step:
-    """What the front end made of one scan."""
+    """What the front end made of one scan.
+
+    ``blind_s``: how long nothing had told where the robot goes, when it was found again or given up; else 0.
+    ``found``: whether it was found again; if not, nothing ties this scan to those before.
+    """
 
     local_T_body: FloatArray
     match: Match | None
     is_keyframe: bool
     searched: bool = False
     odometry_jump: bool = False
+    blind_s: float = 0.0
+    found: bool = True
 
 
 @dataclass(eq=False)
@@ -76,6 +87,8 @@ class Frontend:
     last_step: FloatArray = field(default_factory=lambda: np.zeros(3))
     wheels_since_keyframe: FloatArray = field(default_factory=lambda: np.zeros(3))
     wheels_trusted: bool = True
+    last_dt_s: float = 0.0
+    blind_s: float = 0.0  # since the robot's pose was last known
 
     def process(self, index: int, scan: Scan, motion: PredictedMotion) -> Step:
         """Place one scan in the local frame."""
@@ -84,9 +97,15 @@ class Frontend:
         if self.reference is None:
             self._add_keyframe(index, cloud)
             return Step(self.local_T_body, None, True)
-        predicted = self.last_step if motion.step is None else motion.step
+        blind_s = self.blind_s + motion.dt_s + motion.pause_s
+        coasted = recovery.coasted(self.last_step, self.last_dt_s, blind_s)
+        self.last_dt_s = motion.dt_s
+        predicted = coasted if motion.step is None else motion.step
         if motion.turn_rad is not None:
             predicted = np.array([predicted[0], predicted[1], motion.turn_rad])
+        likely = motion.step is not None and recovery.within_reach(motion.step, coasted, motion.dt_s)
+        if not likely and blind_s > recovery.BLIND_S:
+            return self._after_blindness(index, scan, cloud, predicted, motion, blind_s)
         guess = poses.compose(self.local_T_body, predicted)
         self.wheels_since_keyframe = poses.compose(self.wheels_since_keyframe, predicted)
         self.wheels_trusted = self.wheels_trusted and motion.step is not None
@@ -95,11 +114,14 @@ class Frontend:
         surprise = self._surprise(predicted, step, motion)
         searched = False
         if match.inlier_ratio < config.frontend.min_inlier_ratio or surprise > SURPRISE_GATE:
-            better = self._search(scan, cloud, guess, match)
+            better = self._search(scan, cloud, guess, match, None if likely else coasted, blind_s)
             if better is not None:
-                match, searched = better, True
-                step = poses.between(self.local_T_body, match.ref_T_src)
-                surprise = self._surprise(predicted, step, motion)
+                better_step = poses.between(self.local_T_body, better.ref_T_src)
+                surprise_there = self._surprise(predicted, better_step, motion)
+                # wheels hardly ever jump: it takes more than a few points to say so
+                more = (better.inlier_ratio - match.inlier_ratio) * len(cloud.points_m)
+                if surprise_there <= SURPRISE_GATE or more >= JUMP_POINTS:
+                    match, step, surprise, searched = better, better_step, surprise_there, True
         jump = motion.step is not None and surprise > SURPRISE_GATE
         if jump:
             self.wheels_trusted = False
@@ -111,6 +133,8 @@ class Frontend:
             if again.inlier_ratio > match.inlier_ratio - 0.05:
                 match, step = again, poses.between(self.local_T_body, again.ref_T_src)
         self.local_T_body, self.last_step = match.ref_T_src, step
+        lost = match.inlier_ratio < LOST_SHARE * config.frontend.min_inlier_ratio
+        self.blind_s = blind_s if lost and not likely else 0.0
         moved = poses.between(self.recent[-1].local_T_body, self.local_T_body)
         is_keyframe = math.hypot(moved[0], moved[1]) >= config.frontend.keyframe_distance_m or abs(
             moved[2]
@@ -175,33 +199,70 @@ class Frontend:
             self.config.icp, prior, np.diag(sigmas**-2),
         )  # fmt: skip
 
-    def _search(self, scan: Scan, cloud: DeskewedScan, guess: FloatArray, match: Match) -> Match | None:
-        """A clearly better fit than ``match`` near ``guess``, by correlative search over the recent map and
-        ICP from there; None when there is none."""
-        assert self.reference is not None
-        config = self.config.frontend
-        if not len(self.reference[3]):
-            return None  # nothing was seen yet
-        if self.place is None:
-            self.place = SearchMap.of(self.reference[3][:, :2], guess[:2], 15.0, 0.1)
-        # most poor fits are a small slip: the wide window is opened only when the narrow one fails,
-        # and the farther an answer may lie the more it has to be better
-        for share, margin in ((0.35, 0.08), (1.0, 0.2)):
-            found, score = search(
-                self.place,
-                cloud.points_m,
-                guess,
-                share * config.search_window_m,
-                math.radians(share * config.search_angle_deg),
-                0.4,
-            )
-            if score > 0.0:
-                better = self._match(scan, cloud, found, NOTHING_KNOWN, free=True)
-                if better.inlier_ratio > match.inlier_ratio + margin:
-                    return better
-            if match.inlier_ratio >= config.min_inlier_ratio:
+    def _search(
+        self,
+        scan: Scan,
+        cloud: DeskewedScan,
+        guess: FloatArray,
+        match: Match,
+        coasted: FloatArray | None,
+        blind_s: float,
+    ) -> Match | None:
+        """A clearly better fit than ``match`` near ``guess`` or where inertia leads (``coasted``, the step), by
+        correlative search over the recent map and ICP from there; None when there is none."""
+        place = self._recent_map(guess)
+        if place is None:
+            return None
+        coasting = None if coasted is None else poses.compose(self.local_T_body, coasted)
+        for found, margin in recovery.likely_places(
+            place, cloud.points_m, guess, coasting, blind_s, self.config.frontend
+        ):
+            better = self._match(scan, cloud, found, NOTHING_KNOWN, free=True)
+            if better.inlier_ratio > match.inlier_ratio + margin:
+                return better
+            if match.inlier_ratio >= self.config.frontend.min_inlier_ratio:
                 break
         return None
+
+    def _recent_map(self, center: FloatArray) -> SearchMap | None:
+        """The recent surface, ready to be searched; None where nothing was seen yet."""
+        assert self.reference is not None
+        if self.place is None and len(self.reference[3]):
+            self.place = SearchMap.of(self.reference[3][:, :2], center[:2], SEARCHED_M, 0.1)
+        return self.place
+
+    def _after_blindness(
+        self,
+        index: int,
+        scan: Scan,
+        cloud: DeskewedScan,
+        predicted: FloatArray,
+        motion: PredictedMotion,
+        blind_s: float,
+    ) -> Step:
+        """Place a scan before which nobody watched the robot for a while: where alone it looks like the
+        recent map, or, without such a place, at the beginning of a new map that loops may join."""
+        config = self.config
+        guess = poses.compose(self.local_T_body, predicted)
+        place = self._recent_map(guess)
+        match = None
+        if place is not None:
+            found = recovery.only_place(place, cloud.points_m, guess, blind_s, config.frontend)
+            if found is not None:
+                match = self._match(scan, cloud, found, NOTHING_KNOWN, free=True)
+                if match.inlier_ratio < config.frontend.min_inlier_ratio:
+                    match = None
+        if match is None:
+            self.local_T_body = guess
+            self.recent.clear()
+        else:
+            self.local_T_body = match.ref_T_src
+        self.last_step, self.last_dt_s, self.blind_s = np.zeros(3), 0.0, 0.0
+        self._add_keyframe(index, cloud)
+        return Step(
+            self.local_T_body, match, True, searched=True, odometry_jump=motion.step is not None,
+            blind_s=blind_s, found=match is not None,
+        )  # fmt: skip
 
     def _add_keyframe(self, index: int, cloud: DeskewedScan) -> None:
         self.recent.append(Keyframe(index, cloud, self.local_T_body))
@@ -211,11 +272,6 @@ class Frontend:
         self.wheels_trusted = True
         self.reference = merged_surface([k.cloud for k in self.recent], [k.local_T_body for k in self.recent])
         self.place = None
-
-
-def free_motion_sigmas(dt_s: float) -> FloatArray:
-    """One-sigma change (3,) of the next step of a robot that nobody watches: inertia bounds it."""
-    return 0.02 + 0.5 * MAX_ACCELERATION * min(max(dt_s, 0.02), 2.0) ** 2
 
 
 def merged_surface(clouds: Sequence[DeskewedScan], frame_T_body: Sequence[FloatArray]) -> cells.CellTable:

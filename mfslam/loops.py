@@ -20,6 +20,8 @@ from mfslam.search import search
 from mfslam.types import Edge, FloatArray, Match
 from mfslam.uncertainty import RelativeUncertainty
 
+GAP_M = 100.0  # driven, as it were, where nothing ties two keyframes: what is within so much is rigid
+
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
@@ -72,13 +74,15 @@ class LoopCloser:
         self._waiting: list[Loop] = []
         self._tied_at_m: dict[int, float] = {}  # anchor -> travel when it was last tied to
 
-    def add_keyframe(self) -> None:
-        """Note the newest keyframe; call once for each."""
+    def add_keyframe(self, torn: bool = False) -> None:
+        """Note the newest keyframe; call once for each. ``torn``: how the robot came there is not known, so no
+        place and no story spans this step."""
         if not self.travel_m:
             self.travel_m.append(0.0)
             return
         a, b = self.keyframes[-2].local_T_body, self.keyframes[-1].local_T_body
-        self.travel_m.append(self.travel_m[-1] + math.hypot(b[0] - a[0], b[1] - a[1]))
+        step_m = GAP_M if torn else math.hypot(b[0] - a[0], b[1] - a[1])
+        self.travel_m.append(self.travel_m[-1] + step_m)
 
     def release(self) -> None:
         """Drop the places; the statistics stay."""
@@ -138,7 +142,7 @@ class LoopCloser:
             Candidate(
                 self._anchor(k),
                 max(config.min_window_m, float(window[k])),
-                min(max(0.1, config.window_sigmas * float(sigma_rad[k])), 0.5 * math.pi),
+                min(max(0.1, config.window_sigmas * float(sigma_rad[k])), math.pi),
             )
             for k in best.values()
         ]

@@ -162,7 +162,7 @@ class MotionSources:
             twist = np.zeros(3)
         if turn_rad is not None and dt_s > 0.0:
             twist = np.array([twist[0], twist[1], turn_rad / dt_s])
-        return PredictedMotion(twist, dt_s, step, turn_rad, self.wheel_errors.noise_scale)
+        return PredictedMotion(twist, dt_s, step, turn_rad, self.wheel_errors.noise_scale, self._scan_pause_s)
 
     def has_wheels(self, a: int, b: int) -> bool:
         """Whether the wheels told where both scans stand."""

@@ -18,6 +18,7 @@ from mfslam.graph import PoseGraph
 from mfslam.kernels import poses
 from mfslam.loops import LoopCloser
 from mfslam.motion import MotionSources
+from mfslam.recovery import reach
 from mfslam.types import (
     DeskewedScan,
     Edge,
@@ -134,7 +135,7 @@ class Slam:
         with self.clock.time("graph"):
             keyframe = self._frontend.recent[-1]
             self.keyframes.append(keyframe)
-            self.loops.add_keyframe()
+            self.loops.add_keyframe(torn=step.blind_s > 0.0)
             if len(self.keyframes) == 1:
                 self.graph.add_first(np.zeros(3))
                 return
@@ -142,7 +143,7 @@ class Slam:
             prev_T_body = poses.between(previous.local_T_body, keyframe.local_T_body)
             edges = list(self._sequential_edges(previous, keyframe, step))
             self.graph.add_keyframe(prev_T_body, edges)
-            self.loops.uncertainty.add(edges[0])
+            self.loops.uncertainty.add(edges[0], torn=step.blind_s > 0.0)
         if self.loops.due():
             self._close_loops()
 
@@ -150,6 +151,9 @@ class Slam:
         """Scan match, wheels and heading between a keyframe and the one before."""
         j = len(self.keyframes) - 1
         i = j - 1
+        if step.blind_s > 0.0:
+            yield from self._edges_over_gap(i, j, step)
+            return
         assert step.match is not None
         trust = np.clip((step.match.inlier_ratio - POOR_FIT) / (GOOD_FIT - POOR_FIT), 0.02, 1.0) ** 2
         prev_T_body = poses.between(previous.local_T_body, keyframe.local_T_body)
@@ -158,6 +162,21 @@ class Slam:
         yield Edge("scan", i, j, prev_T_body, trust * step.match.information + least)
         sure = step.match.inlier_ratio > GOOD_FIT
         yield from self._motion.edges(i, j, a, b, prev_T_body, step.match.information, sure)
+
+    def _edges_over_gap(self, i: int, j: int, step: Step) -> Iterator[Edge]:
+        """What ties a scan to the keyframe before when nobody watched the robot between: its reach, and, as
+        refutable as a loop, where it was found again."""
+        prev_T_body = poses.between(self.keyframes[i].local_T_body, self.keyframes[j].local_T_body)
+        half_m, half_rad = reach(step.blind_s)
+        yield Edge("scan", i, j, prev_T_body, np.diag(np.array([half_m, half_m, half_rad]) ** -2.0))
+        if step.match is not None:
+            yield Edge("loop", i, j, prev_T_body, step.match.information)
+        what = "found again by its scan" if step.found else "a new map begins here, which only loops can join"
+        self.findings.add(
+            "lost-between-scans",
+            f"nothing tells how the robot moved, and no scan fits: {what}",
+            f"{step.blind_s:.1f} s before {self.scans[-1].stamp_ns * 1e-9:.6f} s",
+        )
 
     def _close_loops(self) -> None:
         with self.clock.time("graph"):
@@ -234,7 +253,8 @@ class Slam:
     def _scan_poses(self, world_T_keyframe: FloatArray) -> FloatArray:
         local = np.array([step.local_T_body for step in self.steps])
         index = np.array([k.scan_index for k in self.keyframes], dtype=np.int64)
-        return trajectory.spread_corrections(local, index, world_T_keyframe)
+        torn = np.array([self.steps[n].blind_s > 0.0 for n in index], dtype=np.bool_)
+        return trajectory.spread_corrections(local, index, world_T_keyframe, torn)
 
     def _twists(self, world_T_reference: FloatArray) -> FloatArray:
         """(S, 3) motion through every scan along a trajectory."""

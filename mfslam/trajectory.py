@@ -5,17 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from mfslam import se2
-from mfslam.types import FloatArray, IntArray
+from mfslam.types import BoolArray, FloatArray, IntArray
 
 
 def spread_corrections(
-    local_T_body: FloatArray, keyframes: IntArray, world_T_keyframe: FloatArray
+    local_T_body: FloatArray,
+    keyframes: IntArray,
+    world_T_keyframe: FloatArray,
+    torn: BoolArray | None = None,
 ) -> FloatArray:
     """(S, 3) world pose of every scan from its locally consistent one.
 
     ``local_T_body`` (S, 3): the front end's poses; ``keyframes`` (K,): indices of scans whose world poses
     are known. Between two keyframes the front end's motion is kept and what the graph changed about it
-    is spread evenly over the scans.
+    is spread evenly over the scans. ``torn`` (K,): keyframes before which the front end's motion is not known;
+    the scans before them hold to the keyframe that they follow.
     """
     scans = np.arange(len(local_T_body))
     segment = np.clip(np.searchsorted(keyframes, scans, side="right") - 1, 0, len(keyframes) - 1)
@@ -32,6 +36,8 @@ def spread_corrections(
     )
     span = np.maximum(keyframes[following] - keyframes[segment], 1)
     share = np.where(following > segment, (scans - keyframes[segment]) / span, 0.0)
+    if torn is not None:
+        share[torn[following]] = 0.0
     return se2.compose(world_T_body, se2.exp(correction * share[:, None]))
 
 

@@ -20,9 +20,10 @@ class RelativeUncertainty:
         self._ends = array("q")  # i, j of each edge
         self._variances = array("d")  # of position, of heading of each edge
 
-    def add(self, edge: Edge) -> None:
-        """Take note of an edge between two keyframes."""
-        covariance = np.linalg.inv(edge.information + LEAST_KNOWN)
+    def add(self, edge: Edge, torn: bool = False) -> None:
+        """Take note of an edge between two keyframes; ``torn``: nobody watched the robot between them, and
+        what the edge leaves open is open."""
+        covariance = np.linalg.inv(edge.information + (0.0 if torn else LEAST_KNOWN))
         self._ends.extend((edge.i, edge.j))
         self._variances.extend((covariance[0, 0] + covariance[1, 1], covariance[2, 2]))
 

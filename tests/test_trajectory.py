@@ -125,3 +125,11 @@ def test_an_interval_at_the_end_is_measured_within_the_trajectory():
     poses = se2.exp(times[:, None] * TWIST)
     last = twists_over(times, poses, np.array([1.0]), np.array([1.1]), 0.2)[0]
     assert last == pytest.approx(TWIST, abs=1e-9)
+
+
+def test_scans_before_a_keyframe_that_nothing_ties_hold_to_the_one_before():
+    local, keyframes = wander(20), np.array([0, 8, 19])
+    world = local[keyframes] + np.array([[0.0, 0.0, 0.0], [3.0, 2.0, 1.0], [3.0, 2.0, 1.0]])
+    poses = spread_corrections(local, keyframes, world, np.array([False, True, False]))
+    assert_poses(poses[:8], local[:8])
+    assert_poses(poses[keyframes], world)

@@ -1,0 +1,87 @@
+"""Recovery: where a robot can be whose scan does not fit where it was expected, and the search for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from mfslam.config import FrontendConfig
+from mfslam.kernels import poses
+from mfslam.search import SearchMap, search
+from mfslam.types import FloatArray
+
+MAX_ACCELERATION = np.array([2.0, 0.5, 4.0])  # of a robot whose wheels are not known (m/s^2, rad/s^2)
+REACH_SIGMAS = 3.0
+LEAST_S = 0.3  # scans come in bursts and stamps lie: no time between two is held to be shorter
+BLIND_S = 0.5  # without wheels and without a fit for longer, the robot may be anywhere within its reach
+COAST_S = 1.0  # a robot is not held to go on as it did for longer
+NEAR_M, NEAR_RAD = 0.42, 0.6  # of a slip of wheels that else told the truth
+NEAR_MARGIN, FAR_MARGIN = 0.08, 0.2  # by so much of its points a fit elsewhere has to be better
+MIN_SCORE, AMBIGUOUS_SCORE, RIVAL_M = 0.4, 0.9, 1.0
+
+
+def free_motion_sigmas(dt_s: float) -> FloatArray:
+    """One-sigma change (3,) of the next step of a robot that nobody watches: inertia bounds it."""
+    return 0.02 + 0.5 * MAX_ACCELERATION * min(max(dt_s, 0.02), 2.0) ** 2
+
+
+def reach(dt_s: float) -> tuple[float, float]:
+    """How far (m, rad) a robot can be from where its inertia would have carried it."""
+    sigmas = REACH_SIGMAS * free_motion_sigmas(max(dt_s, LEAST_S))
+    return float(max(sigmas[0], sigmas[1])), min(float(sigmas[2]), math.pi)
+
+
+def coasted(last_step: FloatArray, last_dt_s: float, dt_s: float) -> FloatArray:
+    """The step (3,) of a robot that goes on as in its last one; a gap in the log makes it longer."""
+    if last_dt_s <= 0.0 or dt_s < 2.0 * last_dt_s:
+        return last_step
+    step: FloatArray = poses.advance(np.zeros(3), poses.log(last_step) / last_dt_s, min(dt_s, COAST_S))
+    return step
+
+
+def within_reach(step: FloatArray, coasting: FloatArray, dt_s: float) -> bool:
+    """Whether a step (3,) is one that inertia allows."""
+    off = poses.between(coasting, step)
+    half_m, half_rad = reach(dt_s)
+    return math.hypot(off[0], off[1]) <= half_m and abs(off[2]) <= half_rad
+
+
+def likely_places(
+    recent: SearchMap,
+    points_m: FloatArray,
+    guess: FloatArray,
+    coasting: FloatArray | None,
+    blind_s: float,
+    config: FrontendConfig,
+) -> Iterator[tuple[FloatArray, float]]:
+    """Poses (3,) near ``guess``, and then near where inertia leads, that look like the recent map, each with
+    the margin by which its fit has to be better than that of the guess.
+
+    ``coasting``: None where the wheels tell a motion that inertia allows: then nothing farther off is sought.
+    """
+    limit_m, limit_rad = config.search_window_m, math.radians(config.search_angle_deg)
+    windows = [(guess, NEAR_M, NEAR_RAD, NEAR_MARGIN)]
+    if coasting is not None:
+        windows.append((coasting, *reach(blind_s), FAR_MARGIN))
+    for center, half_m, half_rad, margin in windows:
+        window = (min(half_m, limit_m), min(half_rad, limit_rad))
+        found, score = search(recent, points_m, center, *window, MIN_SCORE)
+        if score > 0.0:
+            yield found, margin
+
+
+def only_place(
+    recent: SearchMap, points_m: FloatArray, center: FloatArray, blind_s: float, config: FrontendConfig
+) -> FloatArray | None:
+    """The one pose (3,) within reach at which the points look like the recent map; None where there is
+    none, or another one elsewhere."""
+    half_m, half_rad = reach(blind_s)
+    window = (min(half_m, config.search_window_m), min(half_rad, math.radians(config.search_angle_deg)))
+    found, score = search(recent, points_m, center, *window, MIN_SCORE)
+    if score == 0.0:
+        return None
+    avoid = np.array([found[0], found[1], RIVAL_M])
+    rival = search(recent, points_m, center, *window, AMBIGUOUS_SCORE * score, avoid)[1]
+    return None if rival > 0.0 else found
