@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,7 +13,7 @@ from mfslam import refine, se2, trajectory
 from mfslam.config import Config
 from mfslam.deskew import deskew, reference_offset_s
 from mfslam.frontend import Frontend, Keyframe, Step
-from mfslam.graph import PoseGraph
+from mfslam.graph import PoseGraph, scan_covariances
 from mfslam.kernels import poses
 from mfslam.loops import LoopCloser
 from mfslam.motion import MotionSources
@@ -32,7 +31,6 @@ from mfslam.types import (
 from mfslam.wheel_errors import WheelErrors
 
 POOR_FIT, GOOD_FIT = 0.25, 0.65  # inlier ratios between which a match gains its full weight
-WEAK_SIGMA_M = 0.1  # a match less sure than this along some direction is weak
 # of a step that neither scan nor wheels tell (1 m, 1 rad): without it the chain of poses would break there
 HARDLY_ANYTHING = np.eye(3)
 INERTIA = 25.0 * np.eye(3)  # what holds a robot without wheels where its scans leave a direction open
@@ -61,6 +59,7 @@ class Solution:
     ``stamps_ns`` (S,), ``world_T_body`` (S, 3): the robot at every scan's stamp, in log order.
     ``world_T_reference`` (S, 3), ``twists`` (S, 3): the pose at each scan's reference instant and the
     motion through it, for re-projection. ``keyframes`` (K,): scan indices that ``edges`` number.
+    ``covariances`` (S, 3, 3): of x, y and yaw of ``world_T_body``, in the world's axes, relative to the first pose.
     """
 
     stamps_ns: IntArray
@@ -69,6 +68,7 @@ class Solution:
     twists: FloatArray
     keyframes: IntArray
     edges: list[Edge]
+    covariances: FloatArray
 
 
 class Slam:
@@ -221,17 +221,6 @@ class Slam:
         for step in self.steps:
             step.match = None
 
-    def weak_directions(self, edges: list[Edge]) -> dict[str, float]:
-        """Keyframe steps whose scan match leaves a direction open, so that the wheels decide there."""
-        weak_m = 0.0
-        count = 0
-        for edge in edges:
-            successive = edge.kind == "scan" and edge.j == edge.i + 1
-            if successive and np.linalg.eigvalsh(edge.information[:2, :2])[0] < WEAK_SIGMA_M**-2:
-                count += 1
-                weak_m += math.hypot(edge.i_T_j[0], edge.i_T_j[1])
-        return {"steps": count, "travelled_m": weak_m, "sigma_above_m": WEAK_SIGMA_M}
-
     def _refine(self, edges: list[Edge]) -> list[Edge]:
         config = self.config
         world_T_keyframe = self.graph.poses()
@@ -279,13 +268,17 @@ class Slam:
         offsets = np.array([reference_offset_s(s.laser) for s in self.scans])
         reference_T_stamp = self._to_stamps(world_T_reference, twists, offsets)
         keyframes = np.array([k.scan_index for k in self.keyframes], dtype=np.int64)
+        world_T_body = se2.compose(world_T_reference, reference_T_stamp)
+        if offsets.any():
+            edges = edges_at_stamps(edges, reference_T_stamp[keyframes])
         return Solution(
             stamps_ns=np.array([s.stamp_ns for s in self.scans], dtype=np.int64),
-            world_T_body=se2.compose(world_T_reference, reference_T_stamp),
+            world_T_body=world_T_body,
             world_T_reference=world_T_reference,
             twists=twists,
             keyframes=keyframes,
-            edges=edges_at_stamps(edges, reference_T_stamp[keyframes]) if offsets.any() else edges,
+            edges=edges,
+            covariances=scan_covariances(world_T_body, keyframes, edges),
         )
 
     def _to_stamps(

@@ -41,6 +41,37 @@ def spread_corrections(
     return se2.compose(world_T_body, se2.exp(correction * share[:, None]))
 
 
+def spread_covariances(
+    covariances: FloatArray, steps: FloatArray, world_T_body: FloatArray, keyframes: IntArray
+) -> FloatArray:
+    """(S, 3, 3) covariance of every scan's x, y and yaw, in the world's axes, from those of the keyframes.
+
+    ``covariances`` (K, 3, 3): in the tangents of the keyframes; ``steps`` (K - 1, 3, 3): of the motion from each to
+    the next as measured; ``world_T_body`` (S, 3). A scan between two keyframes is as sure as they are, each
+    carried to it, by its share of the way; in the middle of a step it is less sure than at its ends, as a bridge
+    between them is (share (1 - share) of the step's covariance).
+    """
+    scans = np.arange(len(world_T_body))
+    segment = np.clip(np.searchsorted(keyframes, scans, side="right") - 1, 0, len(keyframes) - 1)
+    following = np.minimum(segment + 1, len(keyframes) - 1)
+    span = np.maximum(keyframes[following] - keyframes[segment], 1)
+    share = np.where(following > segment, (scans - keyframes[segment]) / span, 0.0)[:, None, None]
+
+    def carried(which: IntArray) -> FloatArray:
+        adjoint = se2.adjoint(se2.between(world_T_body, world_T_body[keyframes[which]]))
+        return np.asarray(adjoint @ covariances[which] @ np.swapaxes(adjoint, 1, 2))
+
+    out = (1.0 - share) * carried(segment) + share * carried(following)
+    if len(steps):
+        out += share * (1.0 - share) * steps[np.minimum(segment, len(steps) - 1)]
+    turn = np.zeros((len(scans), 3, 3))
+    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(world_T_body[:, 2])
+    turn[:, 1, 0] = np.sin(world_T_body[:, 2])
+    turn[:, 0, 1] = -turn[:, 1, 0]
+    turn[:, 2, 2] = 1.0
+    return np.asarray(turn @ out @ np.swapaxes(turn, 1, 2))
+
+
 def poses_at(times_s: FloatArray, world_T_body: FloatArray, at_s: FloatArray) -> FloatArray:
     """(N, 3) poses at instants ``at_s``, constant twist between knots (eq. 16 made exact), held at both
     ends. ``times_s`` (S,) must not decrease."""

@@ -219,6 +219,20 @@ class Edge:
     weight: float = 1.0
 
 
+@dataclass(frozen=True, slots=True)
+class OpenStretch:
+    """A part of the path where scan matching left a direction of the world open.
+
+    ``first_scan``, ``last_scan``: where it begins and ends. ``direction_rad``: the open direction against the
+    world's x axis, on (-pi/2, pi/2].
+    """
+
+    first_scan: int
+    last_scan: int
+    travelled_m: float
+    direction_rad: float
+
+
 @dataclass(frozen=True, eq=False)
 class OccupancyGrid:
     """Map in the ROS convention: -1 unknown, 0 free ... 100 occupied.
@@ -245,7 +259,8 @@ class RunResult:
     """What a run ends with; the room `output` writes it to disk.
 
     ``stamps_ns`` (S,) and ``world_T_body`` (S, 3): every scan in log order. ``keyframes`` (K,): index of
-    each keyframe among the scans. ``edges`` speak in keyframe numbers. ``summary`` is JSON-able.
+    each keyframe among the scans. ``edges`` speak in keyframe numbers. ``covariances`` (S, 3, 3): of x, y and
+    yaw of every scan, in the world's axes, relative to the first pose. ``summary`` is JSON-able.
     """
 
     stamps_ns: IntArray
@@ -255,4 +270,6 @@ class RunResult:
     grid: OccupancyGrid
     points: PointCloud
     findings: Findings
+    covariances: FloatArray
+    open_stretches: list[OpenStretch] = field(default_factory=list)
     summary: dict[str, Any] = field(default_factory=dict)

@@ -22,7 +22,7 @@ from mfslam.types import Scan
 MFSLAM = [sys.executable, "-m", "mfslam.cli"]
 RUN_FILES = {
     "config.yaml", "graph.g2o", "keyframes.tum", "map.pgm", "map.png", "map.yaml", "points.ply", "report.html",
-    "summary.json", "trajectory.tum",
+    "summary.json", "trajectory.tum", "trajectory.cov",
 }  # fmt: skip
 
 

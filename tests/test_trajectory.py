@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mfslam import se2
-from mfslam.trajectory import poses_at, spread_corrections, twists_over
+from mfslam.trajectory import poses_at, spread_corrections, spread_covariances, twists_over
 
 TWIST = np.array([1.5, 0.0, -0.9])
 
@@ -133,3 +133,20 @@ def test_scans_before_a_keyframe_that_nothing_ties_hold_to_the_one_before():
     poses = spread_corrections(local, keyframes, world, np.array([False, True, False]))
     assert_poses(poses[:8], local[:8])
     assert_poses(poses[keyframes], world)
+
+
+def test_covariances_between_keyframes_are_carried_and_bridged():
+    world_T_body = np.column_stack([np.arange(5.0), np.zeros(5), np.full(5, 0.3)])
+    world_T_body[:, 1] = np.tan(0.3) * world_T_body[:, 0]  # straight ahead
+    keyframes = np.array([0, 4])
+    sigmas = np.diag([0.01, 0.02, 0.003]) ** 2
+    out = spread_covariances(np.stack([np.zeros((3, 3)), sigmas]), sigmas[None], world_T_body, keyframes)
+    rotation = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    assert not out[0].any()
+    np.testing.assert_allclose(out[4, :2, :2], rotation @ sigmas[:2, :2] @ rotation.T)  # in the world's axes
+    # a quarter of the way: a quarter of the end's, its heading error acting over the way back, and the bridge
+    behind_m = 3.0 / np.cos(0.3)
+    body = rotation.T @ out[1, :2, :2] @ rotation
+    bridge = 0.25 * 0.75
+    assert body[0, 0] == pytest.approx((0.25 + bridge) * 0.01**2)
+    assert body[1, 1] == pytest.approx((0.25 + bridge) * 0.02**2 + 0.25 * (behind_m * 0.003) ** 2)

@@ -20,9 +20,12 @@ from mfslam.commands.settings import config_for, topics_of
 from mfslam.config import Config
 from mfslam.kernels.warm_up import compile_once
 from mfslam.mapping import render_map
+from mfslam.observability import open_stretches
 from mfslam.output import check_writable, json_text, run_folder, summarise, write_atomically, write_run
 from mfslam.slam import Slam, Solution
-from mfslam.types import Findings, MfslamError, RunResult, Scan
+from mfslam.types import Findings, MfslamError, OpenStretch, RunResult, Scan
+
+OPEN_TOLD_M = 1.0  # shorter stretches are drawn and listed, but are no finding
 
 
 def run(args: argparse.Namespace) -> int:
@@ -73,9 +76,12 @@ def map_log(
         )
     findings.merge(log.findings)
     findings.merge(slam.findings)
+    stretches = open_stretches(solution.world_T_body[solution.keyframes], solution.keyframes, solution.edges)
+    tell_open(stretches, solution, findings)
     result = RunResult(
-        solution.stamps_ns, solution.world_T_body, solution.keyframes, solution.edges, grid, points, findings
-    )
+        solution.stamps_ns, solution.world_T_body, solution.keyframes, solution.edges, grid, points, findings,
+        solution.covariances, stretches,
+    )  # fmt: skip
     interrupted = interrupts.count > 0
     result.summary = run_summary(log, slam, solution, interrupted, time.process_time() - start_cpu_s)
     return Outcome(result, summarise(result), interrupted)
@@ -127,6 +133,20 @@ def finish(slam: Slam, progress: Progress, interrupts: Interrupts, findings: Fin
         return slam.solution_so_far()
 
 
+def tell_open(stretches: list[OpenStretch], solution: Solution, findings: Findings) -> None:
+    """A finding for the stretches that are longer than a keyframe step or two."""
+    long = [stretch for stretch in stretches if stretch.travelled_m >= OPEN_TOLD_M]
+    if long:
+        metres = sum(stretch.travelled_m for stretch in long)
+        findings.add(
+            "open-direction",
+            f"the scans left a direction open for {metres:.0f} m of the way: wheels or inertia decided there, "
+            "see open_stretches",
+            f"{solution.stamps_ns[long[0].first_scan] * 1e-9:.6f} s",
+            len(long),
+        )
+
+
 def run_summary(log: Log, slam: Slam, solution: Solution, interrupted: bool, cpu_s: float) -> dict[str, Any]:
     """What only the run knows; `mfslam.output.summarise` adds counts, distances and residuals."""
     statistics = slam.loops.statistics
@@ -148,7 +168,6 @@ def run_summary(log: Log, slam: Slam, solution: Solution, interrupted: bool, cpu
             {"scan": n, "stamp_s": slam.scans[n].stamp_ns * 1e-9} for n in slam.odometry_jumps
         ],
         "wheels": slam.wheel_errors.as_json() if slam.wheel_errors is not None else {},
-        "weak_directions": slam.weak_directions(solution.edges),
     }
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from mfslam import se2
 from mfslam.kernels import selected_inverse
+from mfslam.trajectory import spread_covariances
 from mfslam.types import Edge, FloatArray, IntArray
 
 FLOOR = 1e-6  # information that every pose has: 1 km, 1000 rad
@@ -78,6 +79,20 @@ class GraphInformation:
         at_column = np.broadcast_to(3 * columns[:, None, None] + inner, blocks.shape)
         shape = (3 * self.count, 3 * self.count)
         return coo_array((blocks.ravel(), (at_row.ravel(), at_column.ravel())), shape=shape).tocsc()[3:, 3:]
+
+
+def scan_covariances(world_T_body: FloatArray, keyframes: IntArray, edges: list[Edge]) -> FloatArray:
+    """(S, 3, 3) covariance of every scan's x, y and yaw, in the world's axes and relative to the first keyframe.
+
+    ``world_T_body`` (S, 3), ``keyframes`` (K,): their scans, which the edges number.
+    """
+    marginals = GraphInformation(world_T_body[keyframes], edges).marginals()
+    steps = np.tile(FLOOR * np.eye(3), (max(0, len(keyframes) - 1), 1, 1))
+    for edge in edges:
+        if edge.j == edge.i + 1:
+            steps[edge.i] += edge.weight * edge.information
+    inverse: FloatArray = np.asarray(np.linalg.inv(steps), dtype=np.float64)
+    return spread_covariances(marginals, inverse, world_T_body, keyframes)
 
 
 def _elimination_order(i: IntArray, j: IntArray, count: int) -> IntArray:

@@ -1,5 +1,6 @@
 """What a run leaves behind, and readers of the same files."""
 
+from mfslam.output.covariance import read_covariances
 from mfslam.output.folder import prepare_folder, run_folder, write_run
 from mfslam.output.g2o import GraphFile, read_g2o
 from mfslam.output.maps import read_map
@@ -12,6 +13,7 @@ __all__ = [
     "check_writable",
     "json_text",
     "prepare_folder",
+    "read_covariances",
     "read_g2o",
     "read_map",
     "read_tum",

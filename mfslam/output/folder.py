@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mfslam.config import Config
-from mfslam.output import g2o, maps, ply, report, tum
+from mfslam.output import covariance, g2o, maps, ply, report, tum
 from mfslam.output.staging import PART_SUFFIX, Staging, cannot_write, check_writable
 from mfslam.output.summary import json_text, summarise
 from mfslam.settings import describe
@@ -90,6 +90,7 @@ def _texts(result: RunResult, config: Config, summary: dict[str, Any]) -> Iterat
     config_yaml = describe(config)
     yield "map.yaml", maps.yaml_text(result.grid)
     yield "trajectory.tum", tum.trajectory_text(stamps_ns, poses)
+    yield "trajectory.cov", covariance.covariances_text(stamps_ns, result.covariances)
     yield "keyframes.tum", tum.trajectory_text(stamps_ns[result.keyframes], poses[result.keyframes])
     yield "graph.g2o", g2o.graph_text(poses[result.keyframes], result.edges)
     yield "config.yaml", config_yaml
@@ -112,3 +113,7 @@ def _check(result: RunResult) -> None:
         raise ValueError(f"expected world_T_body of shape ({scans}, 3), got {result.world_T_body.shape}")
     if not np.isfinite(result.world_T_body).all():
         raise ValueError("the trajectory is not finite")
+    if result.covariances.shape != (scans, 3, 3) or not np.isfinite(result.covariances).all():
+        raise ValueError(
+            f"expected finite covariances of shape ({scans}, 3, 3), got {result.covariances.shape}"
+        )

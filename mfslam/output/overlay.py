@@ -10,9 +10,12 @@ import numpy as np
 
 from mfslam.output import maps
 from mfslam.output.summary import travelled_m
-from mfslam.types import BoolArray, Edge, FloatArray, IntArray, OccupancyGrid, RunResult
+from mfslam.types import BoolArray, Edge, FloatArray, IntArray, OccupancyGrid, OpenStretch, RunResult
 
-WEAK_SIGMA_M = 0.1  # a scan match that leaves more than this open in some direction is drawn as weak
+ELLIPSE_SIGMAS = 2.448  # 95 % of a normal distribution in the plane
+_SCALES = (1, 2, 5, 10, 20, 50, 100)
+_ELLIPSES = 300  # at most
+_BAR_M = 2.0
 _MARGIN_M = 1.0
 _PATH_POINTS = 6000
 
@@ -36,11 +39,18 @@ def map_layers(result: RunResult, jumps: IntArray) -> tuple[list[Layer], FloatAr
     keyframes = poses[result.keyframes]
     loops = [edge for edge in result.edges if edge.kind == "loop" and edge.weight >= 0.5]
     rejected = [edge for edge in result.edges if edge.weight < 0.5 and edge.i != edge.j]
-    weak = weak_edges(result.edges)
+    stretches = result.open_stretches
     picture, box = _picture(result.grid, poses)
+    extent_m = float(box[2:].max())
+    scale = ellipse_scale(result.covariances, extent_m)
     layers = [
         Layer("map", "map", f'<g class="l-map">{picture}</g>'),
-        _layer("weak", f"weak direction ({len(weak)})", _segments(keyframes, weak)),
+        _layer("weak", f"open direction ({len(stretches)})", _stretches(poses, stretches)),
+        _layer(
+            "ellipses",
+            f"uncertainty (95 %, {scale} times as large)" if scale > 1 else "uncertainty (95 %)",
+            _ellipses(poses, result.covariances, scale, extent_m),
+        ),
         _layer("loops", f"loop closures ({len(loops)})", _segments(keyframes, loops)),
         _layer("rejected", f"rejected edges ({len(rejected)})", _segments(keyframes, rejected)),
         Layer("path", "trajectory", f'<path class="l-path" d="{_polyline(poses)}"/>{_ends(poses)}'),
@@ -54,15 +64,41 @@ def _layer(key: str, name: str, d: str, shown: bool = True) -> Layer:
     return Layer(key, name, f'<path class="l-{key}" d="{d}"/>' if d else "", shown)
 
 
-def weak_edges(edges: Iterable[Edge]) -> list[Edge]:
-    """Scan matches whose worst direction has a sigma above `WEAK_SIGMA_M`: there the wheels decided."""
-    scans = [edge for edge in edges if edge.kind == "scan"]
-    if not scans:
-        return []
-    information = np.array([edge.information for edge in scans], dtype=np.float64)
-    covariance = np.linalg.inv(information + 1e-6 * np.eye(3))
-    sigma_m = np.sqrt(np.linalg.eigvalsh(covariance[:, :2, :2])[:, 1].clip(min=0.0))
-    return [edge for edge, sigma in zip(scans, sigma_m.tolist(), strict=True) if sigma > WEAK_SIGMA_M]
+def _stretches(world_T_body: FloatArray, stretches: Iterable[OpenStretch]) -> str:
+    """The stretches of the path, and across the middle of each a bar along its open direction."""
+    out = ""
+    for stretch in stretches:
+        poses = world_T_body[stretch.first_scan : stretch.last_scan + 1]
+        x, y = poses[len(poses) // 2, :2]
+        half = 0.5 * _BAR_M * np.array([np.cos(stretch.direction_rad), np.sin(stretch.direction_rad)])
+        out += _polyline(poses) + f"M{x - half[0]:.2f} {half[1] - y:.2f}L{x + half[0]:.2f} {-y - half[1]:.2f}"
+    return out
+
+
+def ellipse_scale(covariances: FloatArray, extent_m: float) -> int:
+    """How many times larger than life the ellipses are drawn, so that they are seen on a map of this extent."""
+    if len(covariances) == 0:
+        return 1
+    largest_m = ELLIPSE_SIGMAS * float(
+        np.sqrt(np.linalg.eigvalsh(covariances[:, :2, :2])[:, 1].max().clip(0.0))
+    )
+    fitting = [scale for scale in _SCALES if scale * largest_m <= 0.03 * extent_m]
+    return max(fitting, default=1)
+
+
+def _ellipses(world_T_body: FloatArray, covariances: FloatArray, scale: int, extent_m: float) -> str:
+    """95 % ellipses of the position, evenly along the path, as closed polygons."""
+    if len(world_T_body) == 0:
+        return ""
+    travel = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(world_T_body[:, :2], axis=0).T))])
+    apart_m = max(0.03 * extent_m, travel[-1] / _ELLIPSES)
+    chosen = np.unique(np.searchsorted(travel, np.arange(0.0, travel[-1] + 1e-9, apart_m)))
+    angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    circle = scale * ELLIPSE_SIGMAS * np.stack([np.cos(angles), np.sin(angles)])
+    values, vectors = np.linalg.eigh(covariances[chosen, :2, :2])
+    axes = vectors * np.sqrt(values.clip(min=0.0))[:, None, :]
+    outlines = world_T_body[chosen, :2, None] + axes @ circle
+    return "".join("M" + "L".join(f"{x:.3f} {-y:.3f}" for x, y in o.T.tolist()) + "Z" for o in outlines)
 
 
 def _picture(grid: OccupancyGrid, world_T_body: FloatArray) -> tuple[str, FloatArray]:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mfslam.output.overlay import WEAK_SIGMA_M, map_layers
+from mfslam.observability import OPEN_SIGMA_M
+from mfslam.output.overlay import map_layers
 from mfslam.output.plots import plot_cards
 from mfslam.output.tables import caption, section_tables, value_text
 from mfslam.types import IntArray, RunResult
@@ -98,8 +99,9 @@ def _map(result: RunResult, summary: dict[str, Any]) -> str:
         f'<h2>Map</h2><div class="card map"><div class="bar">{boxes}<button id="whole">whole map</button></div>'
         f'<div class="sheet"><svg id="map" viewBox="{view_box}" style="{shape}" role="img" '
         f'aria-label="map with trajectory">{drawing}</svg><div id="scale"></div><div id="where">wheel zooms, drag moves</div></div></div>'
-        '<p class="none">Green dot: start, red dot: end. Weak direction: scan matching left more than '
-        f"{WEAK_SIGMA_M:g} m (one sigma) open in one direction, so the wheels decided there.</p>"
+        '<p class="none">Green dot: start, red dot: end. Open direction: scan matching left more than '
+        f"{OPEN_SIGMA_M:g} m (one sigma) open along the bar, so wheels or inertia decided there. Uncertainty: where the "
+        "robot was with 95 % probability, seen from the start; the farther from it, the more a heading error moves.</p>"
     )
 
 

@@ -88,14 +88,39 @@ def summarise(result: RunResult) -> dict[str, Any]:
             "occupied_cells": int(np.count_nonzero(grid.occupancy >= 65)),
         },
         "edges": _per_kind(keyframes, result.edges),
+        "uncertainty": _uncertainty(result.covariances),
         "crispness": {"cell_m": CRISPNESS_CELL_M}
         | crispness(result.points.points_m, CRISPNESS_CELL_M).as_json(),
     }
     for section, values in result.summary.items():
         known = own.get(section)
         own[section] = known | values if isinstance(known, dict) and isinstance(values, dict) else values
+    if result.open_stretches:
+        own["open_stretches"] = [
+            {
+                "from_stamp_s": float(result.stamps_ns[stretch.first_scan] * 1e-9),
+                "to_stamp_s": float(result.stamps_ns[stretch.last_scan] * 1e-9),
+                "travelled_m": stretch.travelled_m,
+                "open_direction_deg": float(np.degrees(stretch.direction_rad)),
+            }
+            for stretch in result.open_stretches
+        ]
     own["findings"] = result.findings.as_json()
     return own
+
+
+def _uncertainty(covariances: FloatArray) -> dict[str, float]:
+    """One-sigma uncertainty of the poses (N, 3, 3), in the direction in which it is largest."""
+    if not len(covariances):
+        return {}
+    sigma_m = np.sqrt(np.linalg.eigvalsh(covariances[:, :2, :2])[:, 1].clip(min=0.0))
+    sigma_deg = np.degrees(np.sqrt(covariances[:, 2, 2]))
+    return {
+        "position_median_m": float(np.median(sigma_m)),
+        "position_largest_m": float(sigma_m.max()),
+        "heading_median_deg": float(np.median(sigma_deg)),
+        "heading_largest_deg": float(sigma_deg.max()),
+    }
 
 
 def _per_kind(world_T_keyframe: FloatArray, edges: list[Edge]) -> dict[str, dict[str, float]]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfslam import se2
-from mfslam.types import Edge, Findings, FloatArray, OccupancyGrid, PointCloud, RunResult
+from mfslam.types import Edge, Findings, FloatArray, OccupancyGrid, OpenStretch, PointCloud, RunResult
 
 WIDTH_M, HEIGHT_M, HALF_CORRIDOR_M = 24.0, 14.0, 1.2
 
@@ -73,8 +73,11 @@ def make_result(scans: int = 600, seed: int = 1) -> RunResult:
         "loops": {"made": 21, "refused": {"poor_fit": 4, "outside_gate": 11}},
         "real_time_factor": 83.2,
     }
+    covariances = np.linspace(0.0, 1.0, scans)[:, None, None] * np.diag([0.02**2, 0.05**2, 0.01**2])
+    stretch = OpenStretch(int(keyframes[31]), int(keyframes[36]), 3.2, 0.0)
     return RunResult(
-        stamps, poses, keyframes, edges, make_grid(), PointCloud(hits, rng.choice(stamps, 5000)), findings, summary
+        stamps, poses, keyframes, edges, make_grid(), PointCloud(hits, rng.choice(stamps, 5000)), findings,
+        covariances, [stretch], summary,
     )  # fmt: skip
 
 

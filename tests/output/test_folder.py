@@ -19,7 +19,7 @@ from mfslam.settings import load
 from mfslam.types import Edge, Findings, MfslamError, OccupancyGrid, PointCloud, RunResult
 
 FILES = {
-    "map.pgm", "map.yaml", "map.png", "trajectory.tum", "keyframes.tum", "graph.g2o", "points.ply",
+    "map.pgm", "map.yaml", "map.png", "trajectory.tum", "trajectory.cov", "keyframes.tum", "graph.g2o", "points.ply",
     "config.yaml", "summary.json", "report.html",
 }  # fmt: skip
 
@@ -166,6 +166,7 @@ def test_the_smallest_run_is_written(tmp_path: Path) -> None:
         OccupancyGrid(np.zeros(2), 0.05, np.full((1, 1), -1, dtype=np.int8)),
         PointCloud(np.zeros((0, 2)), np.zeros(0, dtype=np.int64)),
         Findings(),
+        np.zeros((1, 3, 3)),
     )
     folder = written(one, tmp_path)
     assert read_g2o(folder / "graph.g2o").fixed == {0}

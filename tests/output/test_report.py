@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mfslam.output import charts, summarise
-from mfslam.output.overlay import weak_edges
+from mfslam.output.overlay import ellipse_scale, map_layers
 from mfslam.output.report import report_html
 from mfslam.output.tables import caption, section_tables, value_text
 from mfslam.settings import describe
@@ -65,8 +65,24 @@ def test_names_from_a_log_cannot_inject_markup(result: RunResult) -> None:
         assert markup not in page
 
 
-def test_weak_stretch_is_found_where_it_was_made(result: RunResult) -> None:
-    assert [edge.i for edge in weak_edges(result.edges)] == [31, 32, 33, 34, 35]
+def test_open_stretches_are_drawn_and_listed(page: str, result: RunResult) -> None:
+    stretch = result.open_stretches[0]
+    told = summarise(result)["open_stretches"][0]
+    assert told["travelled_m"] == stretch.travelled_m and told["open_direction_deg"] == 0.0
+    assert told["to_stamp_s"] > told["from_stamp_s"]
+    assert "open direction (1)" in page and "Open stretches" in page
+
+
+def test_ellipses_are_as_large_as_the_covariance_says(result: RunResult) -> None:
+    layers, box = map_layers(result, np.zeros(0, np.int64))
+    ellipses = next(layer for layer in layers if layer.key == "ellipses")
+    scale = ellipse_scale(result.covariances, float(box[2:].max()))
+    assert f"{scale} times as large" in ellipses.name
+    outlines = re.findall(r"M([^MZ]*)Z", ellipses.svg)
+    corners = np.array([[float(v) for v in point.split()] for point in outlines[-1].split("L")])
+    # near the end of the path the sigmas are 2 and 5 cm
+    half = 0.5 * np.ptp(corners, axis=0) / scale
+    assert half == pytest.approx([2.448 * 0.02, 2.448 * 0.05], rel=0.05)
 
 
 json_values = st.recursive(

@@ -1,0 +1,51 @@
+"""Stretches of the path where scan matching left a direction open, so that something else decided there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mfslam.types import Edge, FloatArray, IntArray, OpenStretch
+
+OPEN_SIGMA_M = 0.1  # a match less sure than this along some direction leaves it open
+GAP_M = 1.0  # stretches of one direction nearer than this are one
+SAME_DIRECTION_COS = 0.7  # of twice the angle: a stretch ends where its open direction turned by 23 deg
+
+
+def open_stretches(world_T_keyframe: FloatArray, keyframes: IntArray, edges: list[Edge]) -> list[OpenStretch]:
+    """Runs of keyframe steps whose scan match is less sure than `OPEN_SIGMA_M` in one and the same direction of
+    the world, over gaps of up to `GAP_M`.
+
+    ``world_T_keyframe`` (K, 3); ``keyframes`` (K,): their scans.
+    """
+    steps = sorted((e for e in edges if e.kind == "scan" and e.j == e.i + 1), key=lambda e: e.j)
+    if not steps:
+        return []
+    ends = np.array([e.j for e in steps])
+    information = np.array([e.information for e in steps], dtype=np.float64)
+    # the turn is estimated too: what it leaves of the translation
+    covariance = np.linalg.inv(information + 1e-6 * np.eye(3))[:, :2, :2]
+    values, vectors = np.linalg.eigh(covariance)
+    sigma_m = np.sqrt(values[:, 1].clip(min=0.0))
+    along = np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]) + world_T_keyframe[ends, 2]
+    lengths_m = np.hypot(*(world_T_keyframe[ends] - world_T_keyframe[ends - 1])[:, :2].T)
+    axis = np.exp(2j * along)  # a direction and its opposite are the same
+    travel_m = np.cumsum(lengths_m)
+    runs: list[list[int]] = []
+    for n in np.flatnonzero(sigma_m > OPEN_SIGMA_M).tolist():
+        if runs:
+            last = runs[-1][-1]
+            mean = axis[runs[-1]].mean()
+            same = (axis[n] * np.conj(mean)).real > SAME_DIRECTION_COS * abs(mean)
+            if same and travel_m[n - 1] - travel_m[last] <= GAP_M:
+                runs[-1].append(n)
+                continue
+        runs.append([n])
+    return [
+        OpenStretch(
+            int(keyframes[ends[run[0]] - 1]),
+            int(keyframes[ends[run[-1]]]),
+            float(lengths_m[run[0] : run[-1] + 1].sum()),
+            float(0.5 * np.angle(axis[run].mean())),
+        )
+        for run in runs
+    ]

@@ -1,0 +1,54 @@
+"""Stretches in which scans leave a direction open, from edges made for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mfslam import se2
+from mfslam.observability import open_stretches
+from mfslam.types import Edge, FloatArray
+
+SURE = np.diag([1e4, 1e4, 1e5])
+
+
+def path_with(open_steps: dict[int, float], count: int = 20) -> tuple[FloatArray, list[Edge]]:
+    """Keyframes along a bent path; a step k of ``open_steps`` is open along that heading of the world (rad)."""
+    moves = [np.array([0.5, 0.0, 0.1])] * (count - 1)
+    poses = [np.zeros(3)]
+    for move in moves:
+        poses.append(se2.compose(poses[-1], move))
+    world = np.array(poses)
+    edges = []
+    for k in range(count - 1):
+        information = SURE
+        if k in open_steps:
+            angle = open_steps[k] - world[k + 1, 2]
+            across = np.array([-np.sin(angle), np.cos(angle), 0.0])
+            information = 1e4 * np.outer(across, across) + np.diag([1.0, 1.0, 1e5])
+        edges.append(Edge("scan", k, k + 1, moves[k], information))
+    return world, edges
+
+
+def test_a_run_of_steps_is_one_stretch_with_its_direction() -> None:
+    world, edges = path_with(dict.fromkeys(range(4, 9), 2.0))
+    edges.append(Edge("loop", 0, 15, se2.between(world[0], world[15]), np.eye(3)))  # only scans' steps count
+    scans = 3 * np.arange(len(world))
+    (stretch,) = open_stretches(world, scans, edges)
+    assert (stretch.first_scan, stretch.last_scan) == (12, 27)
+    assert stretch.travelled_m == pytest.approx(2.5, abs=0.01)
+    assert np.cos(2.0 * (stretch.direction_rad - 2.0)) == pytest.approx(1.0, abs=1e-6)
+    assert abs(stretch.direction_rad) <= 0.5 * np.pi
+
+
+def test_another_direction_or_a_long_gap_begins_another_stretch() -> None:
+    turned = {k: 0.0 if k < 6 else 1.2 for k in range(3, 9)}
+    world, edges = path_with(turned | {12: 0.0, 14: 0.0})
+    found = open_stretches(world, np.arange(len(world)), edges)
+    assert [(s.first_scan, s.last_scan) for s in found] == [(3, 6), (6, 9), (12, 15)]
+
+
+def test_nothing_open_nothing_found() -> None:
+    world, edges = path_with({})
+    assert open_stretches(world, np.arange(len(world)), edges) == []
+    assert open_stretches(world[:1], np.zeros(1, np.int64), []) == []
