@@ -103,7 +103,9 @@ class Frontend:
         predicted = coasted if motion.step is None else motion.step
         if motion.turn_rad is not None:
             predicted = np.array([predicted[0], predicted[1], motion.turn_rad])
-        likely = motion.step is not None and recovery.within_reach(motion.step, coasted, motion.dt_s)
+        likely = motion.step is not None and recovery.is_likely(
+            motion.step, self.last_step, coasted, motion.dt_s
+        )
         if not likely and blind_s > recovery.BLIND_S:
             return self._after_blindness(index, scan, cloud, predicted, motion, blind_s)
         guess = poses.compose(self.local_T_body, predicted)

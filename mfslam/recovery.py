@@ -15,6 +15,7 @@ from mfslam.types import FloatArray
 MAX_ACCELERATION = np.array([2.0, 0.5, 4.0])  # of a robot whose wheels are not known (m/s^2, rad/s^2)
 REACH_SIGMAS = 3.0
 LEAST_S = 0.3  # scans come in bursts and stamps lie: no time between two is held to be shorter
+LEAST_PERIOD_S = 0.05  # nor a laser to be faster
 BLIND_S = 0.5  # without wheels and without a fit for longer, the robot may be anywhere within its reach
 COAST_S = 1.0  # a robot is not held to go on as it did for longer
 NEAR_M, NEAR_RAD = 0.42, 0.6  # of a slip of wheels that else told the truth
@@ -35,17 +36,21 @@ def reach(dt_s: float) -> tuple[float, float]:
 
 def coasted(last_step: FloatArray, last_dt_s: float, dt_s: float) -> FloatArray:
     """The step (3,) of a robot that goes on as in its last one; a gap in the log makes it longer."""
-    if last_dt_s <= 0.0 or dt_s < 2.0 * last_dt_s:
+    if dt_s <= LEAST_S:
         return last_step
-    step: FloatArray = poses.advance(np.zeros(3), poses.log(last_step) / last_dt_s, min(dt_s, COAST_S))
+    share = min(dt_s, COAST_S) / max(last_dt_s, LEAST_PERIOD_S)
+    step: FloatArray = poses.advance(np.zeros(3), poses.log(last_step), max(1.0, share))
     return step
 
 
-def within_reach(step: FloatArray, coasting: FloatArray, dt_s: float) -> bool:
-    """Whether a step (3,) is one that inertia allows."""
-    off = poses.between(coasting, step)
+def is_likely(step: FloatArray, last_step: FloatArray, coasting: FloatArray, dt_s: float) -> bool:
+    """Whether inertia allows a step (3,), be it counted by scans or by stamps, of which some lie."""
     half_m, half_rad = reach(dt_s)
-    return math.hypot(off[0], off[1]) <= half_m and abs(off[2]) <= half_rad
+    for expected in (last_step, coasting):
+        off = poses.between(expected, step)
+        if math.hypot(off[0], off[1]) <= half_m and abs(off[2]) <= half_rad:
+            return True
+    return False
 
 
 def likely_places(

@@ -30,10 +30,16 @@ def test_inertia_reaches_half_the_acceleration_times_the_time_squared():
 
 def test_a_robot_coasts_through_a_gap_for_a_second():
     step = np.array([0.1, 0.0, 0.02])
-    np.testing.assert_array_equal(recovery.coasted(step, 0.1, 0.15), step)
+    np.testing.assert_array_equal(recovery.coasted(step, 0.1, 0.25), step)
     np.testing.assert_allclose(recovery.coasted(step, 0.1, 0.5), se2.exp(5.0 * se2.log(step)), atol=1e-12)
     np.testing.assert_allclose(recovery.coasted(step, 0.1, 9.0), recovery.coasted(step, 0.1, 1.0))
-    np.testing.assert_array_equal(recovery.coasted(step, 0.0, 9.0), step)
+
+
+def test_stamps_that_lie_make_no_motion_unlikely():
+    """The same step again after 0.4 s by the stamps, the one before having taken none."""
+    step = np.array([0.2, 0.0, 0.1])
+    assert recovery.is_likely(step, step, recovery.coasted(step, 0.0, 0.4), 0.4)
+    assert not recovery.is_likely(step + np.array([0.9, 0.0, 0.0]), step, recovery.coasted(step, 0.1, 0.1), 0.1)
 
 
 def drive(rooms, moved, dt_s, wheels=None):
