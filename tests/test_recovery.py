@@ -39,7 +39,9 @@ def test_stamps_that_lie_make_no_motion_unlikely():
     """The same step again after 0.4 s by the stamps, the one before having taken none."""
     step = np.array([0.2, 0.0, 0.1])
     assert recovery.is_likely(step, step, recovery.coasted(step, 0.0, 0.4), 0.4)
-    assert not recovery.is_likely(step + np.array([0.9, 0.0, 0.0]), step, recovery.coasted(step, 0.1, 0.1), 0.1)
+    assert not recovery.is_likely(
+        step + np.array([0.9, 0.0, 0.0]), step, recovery.coasted(step, 0.1, 0.1), 0.1
+    )
 
 
 def drive(rooms, moved, dt_s, wheels=None):
