@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
 
 from mfslam.types import Findings, Message, MfslamError
+
+
+class SensorTrouble(MfslamError):
+    """A sensor does not answer, or says that it is broken."""
 
 
 class NoScans(MfslamError):
@@ -60,4 +65,64 @@ class Log(Protocol):
 
     def progress(self) -> float:
         """Share of the log that was read, 0 to 1."""
+        ...
+
+
+@dataclass
+class SensorHealth:
+    """How a live sensor fares; its driver keeps it, whoever likes may read it.
+
+    ``rate_hz``, ``delay_s``: of the latest messages, ``delay_s`` from the stamp to the arrival. ``errors``:
+    what went wrong, counted by kind. ``reconnects``: times the line was lost and found again. ``text``: what
+    it is doing now, in words.
+    """
+
+    name: str
+    connected: bool = False
+    messages: int = 0
+    rate_hz: float = 0.0
+    delay_s: float = 0.0
+    last_stamp_ns: int = 0
+    reconnects: int = 0
+    errors: Counter[str] = field(default_factory=Counter)
+    text: str = "starting"
+    _pace_s: float = 0.0
+
+    def saw(self, stamp_ns: int, delay_s: float) -> None:
+        """A good message came."""
+        step_s = (stamp_ns - self.last_stamp_ns) * 1e-9
+        if self.messages and 0.0 < step_s < 10.0:
+            self._pace_s += 0.1 * (step_s - self._pace_s) if self._pace_s else step_s
+            self.rate_hz = 1.0 / self._pace_s
+        self.delay_s += 0.1 * (delay_s - self.delay_s) if self.messages else delay_s
+        self.messages += 1
+        self.last_stamp_ns = stamp_ns
+        self.connected = True
+        self.text = "running"
+
+    def lost(self, why: str) -> None:
+        """The line is gone, or silent."""
+        self.connected, self.rate_hz, self._pace_s, self.text = False, 0.0, 0.0, why
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "name": self.name,
+            "connected": self.connected,
+            "messages": self.messages,
+            "rate_hz": round(self.rate_hz, 3),
+            "delay_s": round(self.delay_s, 5),
+            "reconnects": self.reconnects,
+            "errors": dict(sorted(self.errors.items())),
+            "text": self.text,
+        }
+
+
+class Sensor(Protocol):
+    """A live sensor. Whoever reads it gives it a thread of its own: `messages` waits for the device."""
+
+    health: SensorHealth
+
+    def messages(self, stopped: Callable[[], bool]) -> Iterator[Message]:
+        """Messages as they come, stamped on the host's clock, until ``stopped``. An unplugged sensor is waited
+        for. Raises MfslamError where it cannot be had at all, at the start."""
         ...

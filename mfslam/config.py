@@ -319,6 +319,36 @@ class MapConfig(_Stage):
     )
 
 
+class ScipConfig(_Stage):
+    """A live Hokuyo laser (SCIP 2.0): what is asked of it, and what its timestamps mark."""
+
+    baud: int | None = Field(
+        None,
+        gt=0,
+        description="Bit rate of a real serial line: the sensor is taken to it (every scan of a URG-04LX needs 250000). "
+        "Null: as it is found; nothing over USB and TCP.",
+    )
+    mode: Literal["stream", "ask"] = Field(
+        "stream", description="stream: the sensor sends scans (MD, MS); ask: each is asked for (GD, GS)."
+    )
+    angle_min_deg: float | None = Field(
+        None, description="First bearing to measure, deg, ahead is 0. Null: all that the sensor sees."
+    )
+    angle_max_deg: float | None = Field(None, description="Last bearing to measure, deg. Null: all.")
+    cluster: int = Field(
+        1, ge=1, le=99, description="So many neighbouring steps are merged into their nearest."
+    )
+    skip_scans: int = Field(0, ge=0, le=9, description="Scans that the sensor leaves out between two.")
+    short_ranges: bool = Field(
+        False, description="Two characters a range instead of three: less to send, 4.095 m at most."
+    )
+    timestamp_at: Literal["step-0", "rear"] = Field(
+        "step-0",
+        description="What a timestamp marks: the sensor's step 0, as its specification says, or the direction "
+        "straight back, as some drivers take it. For a URG-04LX 12.5 ms apart.",
+    )
+
+
 class Config(_Stage):
     """All stages."""
 
@@ -333,3 +363,4 @@ class Config(_Stage):
     graph: GraphConfig = GraphConfig()
     refine: RefineConfig = RefineConfig()
     map: MapConfig = MapConfig()
+    scip: ScipConfig = ScipConfig()

@@ -1,0 +1,222 @@
+"""A Hokuyo laser as a live `Sensor`: talks, finds it again after an unplug, gives scans on the host's clock."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.base import SensorHealth, SensorTrouble
+from drivers.clock_sync import ClockSync
+from drivers.host_clock import HostClock
+from drivers.laser_models import LogGeometry, clean_ranges, laser_from
+from drivers.scip.replies import Parameters, RawScan
+from drivers.scip.requests import Window
+from drivers.scip.session import TICK_S, NoAnswer, Session, Stopped
+from drivers.scip.status import range_code
+from drivers.transport import Transport, Unplugged, open_transport
+from mfslam.config import Config, ScipConfig
+from mfslam.types import Laser, Message, MfslamError, Scan
+
+PAUSE_S = 0.5  # between two attempts to find a lost sensor again
+PACE_SCANS = 50  # scans that tell the mirror's true pace
+PACE_TOLERANCE = 0.003  # less than this off the told pace is no news
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """What one session measures: the sensor's parameters and the steps asked of it."""
+
+    told: Parameters
+    window: Window
+
+    @staticmethod
+    def of(told: Parameters, settings: ScipConfig) -> Geometry:
+        """The steps that are set, else all that the sensor measures."""
+        first = _step(told, settings.angle_min_deg, told.first_step)
+        last = _step(told, settings.angle_max_deg, told.last_step)
+        if not told.first_step <= first < last <= told.last_step:
+            raise MfslamError(
+                f"scip.angle_min_deg, scip.angle_max_deg: this sensor measures from {_deg(told, told.first_step):.2f} "
+                f"to {_deg(told, told.last_step):.2f} deg"
+            )
+        return Geometry(
+            told, Window(first, last, settings.cluster, settings.skip_scans, settings.short_ranges)
+        )
+
+    @property
+    def step_rad(self) -> float:
+        return 2.0 * math.pi / self.told.steps_per_turn
+
+    def first_beam_s(self, period_s: float, settings: ScipConfig) -> float:
+        """From the instant that the sensor's timestamp marks to its first beam. Several steps merged into one
+        count as their middle."""
+        zero = (
+            0.0 if settings.timestamp_at == "step-0" else self.told.front_step - self.told.steps_per_turn / 2
+        )
+        return (self._first() - zero) / self.told.steps_per_turn * period_s
+
+    def laser(self, config: Config, period_s: float) -> Laser:
+        """The laser as it is mounted; its scans are stamped at their first beam."""
+        short_m = 4.095 if self.window.short else math.inf  # what two characters hold
+        told = LogGeometry(
+            n_beams=self.window.count,
+            angle_min_rad=(self._first() - self.told.front_step) * self.step_rad,
+            angle_step_rad=self.window.cluster * self.step_rad,
+            turn_period_s=period_s,
+            range_min_m=self.told.min_mm * 1e-3,
+            range_max_m=min(self.told.max_mm * 1e-3, short_m),
+        )
+        # what a preset says of other drivers' stamps and geometry does not hold here
+        ours = {"stamp_at": "first", "angle_min_deg": None, "angle_step_deg": None, "turn_period_s": period_s}
+        sensor = config.sensor.model_copy(update={**ours, "interlace": 1, "reversed_beams": False})
+        return laser_from(sensor, told, name=self.told.model.split("(")[0].strip() or "urg")
+
+    def _first(self) -> float:
+        return self.window.first_step + 0.5 * (self.window.cluster - 1)
+
+
+def _step(told: Parameters, angle_deg: float | None, otherwise: int) -> int:
+    return (
+        otherwise if angle_deg is None else told.front_step + round(angle_deg / 360.0 * told.steps_per_turn)
+    )
+
+
+def _deg(told: Parameters, step: int) -> float:
+    return (step - told.front_step) * 360.0 / told.steps_per_turn
+
+
+class UrgSensor:
+    """A `drivers.base.Sensor`: ``address`` is a serial device or host:port."""
+
+    def __init__(
+        self,
+        address: str,
+        config: Config,
+        clock: HostClock | None = None,
+        open_line: Callable[[str, int], Transport] = open_transport,
+        pause: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.health = SensorHealth(f"urg:{address}")
+        self.range_codes: dict[str, int] = {}
+        self._address, self._config, self._settings = address, config, config.scip
+        self._clock = clock or HostClock()
+        self._open_line, self._pause = open_line, pause
+        self._ever = False
+        self._baud = config.scip.baud or 115200
+
+    def messages(self, stopped: Callable[[], bool]) -> Iterator[Message]:
+        """Scans; see `drivers.base.Sensor`."""
+        while not stopped():
+            try:
+                line = self._open_line(self._address, self._baud)
+            except Unplugged as error:
+                self._lost(str(error))
+                self._pause(PAUSE_S)
+                continue
+            session = Session(line, self.health.errors, stopped=stopped)
+            try:
+                yield from self._measure(session)
+            except Unplugged as error:
+                self._lost(str(error))
+            except NoAnswer as error:
+                self._lost(f"{self._address}: {error}")
+            except SensorTrouble as error:
+                self._lost(f"{self._address}: {error}")
+                self._recover(session)
+            except Stopped:
+                pass
+            finally:
+                self._leave(session)
+            if not stopped():
+                self._pause(PAUSE_S)
+
+    def _lost(self, why: str) -> None:
+        """Remember it; at the start, when the sensor was never there, give up."""
+        if not self._ever:
+            raise SensorTrouble(f"{self.health.name}: {why.removeprefix(self._address + ': ')}")
+        if self.health.connected:
+            self.health.reconnects += 1
+        self.health.lost(why)
+
+    def _recover(self, session: Session) -> None:
+        try:
+            session.reset()
+        except (OSError, Stopped):
+            return
+
+    def _leave(self, session: Session) -> None:
+        with contextlib.suppress(OSError):
+            session.end()
+        session.line.close()
+
+    def _measure(self, session: Session) -> Iterator[Scan]:
+        parameters = session.begin(self._settings.baud)
+        self._baud = session.line.baud() or self._baud  # where it is found first after an unplug
+        geometry = Geometry.of(parameters, self._settings)
+        self._ever = True
+        self.health.text = "waiting for the first scan"
+        pace = _Pace(60.0 / parameters.rpm)
+        session.clock.least_delay_s = self._least_delay_s(geometry, pace.period_s, session.line.baud())
+        laser = geometry.laser(self._config, pace.period_s)
+        source = session.stream if self._settings.mode == "stream" else session.latest
+        for raw in source(geometry.window):
+            device_s = session.device_s(raw)
+            if not session.clock.arrival(device_s, raw.received_s):
+                self.health.errors["sensor-clock-set-anew"] += 1
+                session.clock = ClockSync(TICK_S, session.clock.least_delay_s)
+                session.clock.arrival(device_s, raw.received_s)
+            if pace.saw(device_s):
+                laser = geometry.laser(self._config, pace.period_s)
+            # the timer rounds down
+            sensed_s = session.clock.host_s(device_s + 0.5 * TICK_S)
+            first_s = sensed_s + geometry.first_beam_s(pace.period_s, self._settings)
+            self.health.saw(self._clock.stamp_ns(first_s), raw.received_s - first_s)
+            yield Scan(self._clock.stamp_ns(first_s), self._ranges(raw, parameters, laser), laser)
+
+    def _least_delay_s(self, geometry: Geometry, period_s: float, baud: int | None) -> float:
+        """From step 0 to the arrival of the last byte: the turn to the last step, and the bytes' way."""
+        turn_s = geometry.window.last_step / geometry.told.steps_per_turn * period_s
+        return turn_s + (geometry.window.reply_bytes * 10.0 / baud if baud else 0.0)
+
+    def _ranges(
+        self, raw: RawScan, parameters: Parameters, laser: Laser
+    ) -> np.ndarray[tuple[int], np.dtype[np.float32]]:
+        codes = raw.values[raw.values < parameters.min_mm]
+        for value, count in zip(*np.unique(codes, return_counts=True), strict=True):
+            word = range_code(int(value))
+            self.range_codes[word] = self.range_codes.get(word, 0) + int(count)
+        millimetres = np.where(raw.values < parameters.min_mm, np.nan, raw.values)
+        return clean_ranges((millimetres * 1e-3).astype(np.float32), laser)
+
+
+class _Pace:
+    """The mirror's true period, from the sensor's own timestamps."""
+
+    def __init__(self, told_s: float) -> None:
+        self.period_s = told_s
+        self._since: tuple[float, int] | None = None
+        self._last_s = 0.0
+
+    def saw(self, device_s: float) -> bool:
+        """A scan began at ``device_s``. True where the period is found to be another than was thought."""
+        if self._since is None:
+            self._since = (device_s, 0)
+        else:
+            start_s, turns = self._since
+            step = round((device_s - self._last_s) / self.period_s)  # scans may be missing between
+            self._since = (start_s, turns + step) if 0 < step < 20 else (device_s, 0)
+        self._last_s = device_s
+        start_s, turns = self._since
+        if turns < PACE_SCANS:
+            return False
+        found_s = (device_s - start_s) / turns
+        self._since = (device_s, 0)
+        if abs(found_s / self.period_s - 1.0) < PACE_TOLERANCE or not 0.8 < found_s / self.period_s < 1.25:
+            return False
+        self.period_s = found_s
+        return True

@@ -1,0 +1,95 @@
+"""The world that simulated sensors share: one drive, sensed at any instant."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.laser_models import LogGeometry, laser_from
+from drivers.simulator.motion import Motion
+from drivers.simulator.robot import RobotModel, drive
+from drivers.simulator.sensing import sense
+from drivers.simulator.sensors import LaserModel
+from drivers.simulator.world import World
+from mfslam.settings import load, preset_path
+from mfslam.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class UrgModel:
+    """A Hokuyo as PP tells it, and what of that is not true. ``nothing``: the value of a beam that meets nothing."""
+
+    name: str
+    preset: str
+    min_mm: int
+    max_mm: int
+    steps_per_turn: int
+    first_step: int
+    last_step: int
+    front_step: int
+    rpm: int
+    nothing: int
+
+    @property
+    def period_s(self) -> float:
+        return 60.0 / self.rpm
+
+
+URG_MODELS = {
+    "urg-04lx": UrgModel(
+        "URG-04LX(Hokuyo Automatic Co.,Ltd.)", "urg-04lx", 20, 5600, 1024, 44, 725, 384, 600, 0
+    ),
+    "utm-30lx": UrgModel("UTM-30LX", "utm-30lx", 23, 60000, 1440, 0, 1080, 540, 2400, 65533),
+}
+TOO_NEAR = 7  # an error code
+
+
+@dataclass
+class Stage:
+    """A drive through a world, which begins when the sensors are switched on and ends where the path ends."""
+
+    world: World
+    robot: RobotModel
+    urg: UrgModel
+    body_T_laser: FloatArray = field(default_factory=lambda: np.zeros(3))
+    motor_error: float = 0.0  # the mirror's period is longer by this share
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self.motion: Motion = drive(self.world, self.robot)
+        self._rngs = np.random.default_rng(self.seed).spawn(2)
+        step_rad = 2.0 * math.pi / self.urg.steps_per_turn
+        steps = self.urg.last_step - self.urg.first_step + 1
+        told = LogGeometry(
+            steps,
+            (self.urg.first_step - self.urg.front_step) * step_rad,
+            step_rad,
+            turn_period_s=self.period_s,
+            range_max_m=self.urg.max_mm * 1e-3,
+        )
+        sensor = load([preset_path(self.urg.preset)]).sensor
+        mount = dict(zip(("mount_x_m", "mount_y_m"), self.body_T_laser[:2].tolist(), strict=True))
+        mount["mount_yaw_deg"] = math.degrees(self.body_T_laser[2])
+        sensor = sensor.model_copy(update={**mount, "turn_period_s": self.period_s})
+        laser = laser_from(sensor, told, name=self.urg.name)
+        self._laser = LaserModel(laser, self.period_s, range_step_m=0.001)
+
+    @property
+    def period_s(self) -> float:
+        """True period of the mirror."""
+        return self.urg.period_s * (1.0 + self.motor_error)
+
+    def values(self, step_0_s: float) -> IntArray:
+        """What the laser tells of the scan whose step 0 is at ``step_0_s``: (N,) mm or codes, of all its steps."""
+        first_s = step_0_s + self.urg.first_step / self.urg.steps_per_turn * self.period_s
+        scans: Iterator[np.ndarray] = sense(
+            self.world, self.motion, self._laser, np.array([first_s]), *self._rngs
+        )
+        metres = next(scans)
+        millimetres = np.rint(np.where(np.isfinite(metres), metres, 0.0) * 1e3).astype(np.int64)
+        millimetres[np.isnan(metres)] = TOO_NEAR
+        millimetres[np.isposinf(metres)] = self.urg.nothing
+        return millimetres
