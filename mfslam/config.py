@@ -263,6 +263,12 @@ class GraphConfig(_Stage):
         lt=1,
         description="Loops whose chi2 is above this quantile are outliers in the final solve.",
     )
+    loop_satisfied_m: float = Field(
+        0.2,
+        gt=0,
+        description="A loop in use is off by less than this in the final solve, m; else it is taken out.",
+    )
+    loop_satisfied_deg: float = Field(1.0, gt=0, description="The same of its rotation, deg.")
     gate_probability: float = Field(
         0.999, gt=0, lt=1, description="A loop must lie inside this quantile of the joint marginal."
     )

@@ -51,6 +51,8 @@ class LoopStatistics:
     searches: int = 0
     places_tried: int = 0
     accepted: int = 0
+    taken_out: int = 0  # while mapping, when later loops stood against them
+    brought_back: int = 0
     refused: dict[str, int] = field(default_factory=dict)
 
     def refuse(self, reason: str) -> None:

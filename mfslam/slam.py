@@ -187,6 +187,19 @@ class Slam:
         for loop in loops:
             self.graph.add_edge(loop.edge())
             self.loops.uncertainty.add(loop.edge())
+        if loops:
+            self._settle_disputes()
+
+    def _settle_disputes(self) -> None:
+        """Loops that got in and stand against others are taken out while mapping."""
+        with self.clock.time("graph"):
+            out, back = self.graph.settle_disputes()
+        for edge in out:
+            self.loops.uncertainty.remove(edge)
+        for edge in back:
+            self.loops.uncertainty.add(edge)
+        self.loops.statistics.taken_out += len(out)
+        self.loops.statistics.brought_back += len(back)
 
     # --- the end ------------------------------------------------------------------------------------
 
@@ -200,10 +213,12 @@ class Slam:
             raise MfslamError("no scans: nothing to map")
         tell("solving the graph")
         with self.clock.time("final solve"):
-            edges = self.graph.optimize(self._motion.revised(self.graph.live_edges()))
+            edges = self.graph.optimize(self._motion.revised(self.graph.edges_to_judge()))
         for _ in range(self.config.refine.passes if len(self.keyframes) > 1 else 0):
             tell("matching again from the optimised trajectory")
             edges = self._refine(edges)
+        with self.clock.time("final solve"):
+            edges = self.graph.optimize_satisfied(edges)
         tell("placing the scans between keyframes")
         with self.clock.time("trajectory"):
             return self._solution(edges, localise=self.config.refine.localise)

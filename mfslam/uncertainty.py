@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 
 import numpy as np
@@ -26,6 +27,14 @@ class RelativeUncertainty:
         covariance = np.linalg.inv(edge.information + (0.0 if torn else LEAST_KNOWN))
         self._ends.extend((edge.i, edge.j))
         self._variances.extend((covariance[0, 0] + covariance[1, 1], covariance[2, 2]))
+
+    def remove(self, edge: Edge) -> None:
+        """Forget a loop: no path leads over it any more. What ties a keyframe to the next stays."""
+        if edge.j == edge.i + 1:
+            return
+        for n in range(len(self._ends) // 2):
+            if self._ends[2 * n] == edge.i and self._ends[2 * n + 1] == edge.j:
+                self._variances[2 * n] = self._variances[2 * n + 1] = math.inf
 
     def seen_from(self, keyframe: int, world_T_body: FloatArray) -> tuple[FloatArray, FloatArray]:
         """One-sigma position (m) and heading (rad), (K,) each, of every keyframe seen from one of them."""

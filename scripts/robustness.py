@@ -172,24 +172,24 @@ def rows(outcomes: list[Outcome]) -> list[list[str]]:
     return out
 
 
-def table_text(table: list[list[str]]) -> str:
-    widths = [max(len(row[c]) for row in [HEAD, *table]) for c in range(len(HEAD))]
-    lines = [[cell.ljust(w) for cell, w in zip(row, widths, strict=True)] for row in [HEAD, *table]]
+def table_text(table: list[list[str]], head: list[str]) -> str:
+    widths = [max(len(row[c]) for row in [head, *table]) for c in range(len(head))]
+    lines = [[cell.ljust(w) for cell, w in zip(row, widths, strict=True)] for row in [head, *table]]
     return "\n".join("  ".join(line).rstrip() for line in lines)
 
 
-def markdown(table: list[list[str]]) -> str:
-    lines = [HEAD, ["---"] * len(HEAD), *table]
+def markdown(table: list[list[str]], head: list[str]) -> str:
+    lines = [head, ["---"] * len(head), *table]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def write_markdown(page: Path, table: list[list[str]]) -> None:
+def write_markdown(page: Path, table: str, begin: str, end: str) -> None:
     """Put the table between the markers of the page."""
     text = page.read_text(encoding="utf-8")
-    if BEGIN not in text or END not in text:
-        raise MfslamError(f"{page}: expected the markers {BEGIN} and {END} around the table")
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    write_atomically(page, f"{before}{BEGIN}\n{markdown(table)}\n{END}{after}".encode())
+    if begin not in text or end not in text:
+        raise MfslamError(f"{page}: expected the markers {begin} and {end} around the table")
+    before, after = text.split(begin)[0], text.split(end)[1]
+    write_atomically(page, f"{before}{begin}\n{table}\n{end}{after}".encode())
 
 
 def main() -> int:
@@ -217,11 +217,11 @@ def main() -> int:
             print(f"{outcome.case}: {outcome.ate_m:.3f} m, {outcome.verdict}", file=sys.stderr, flush=True)
             outcomes.append(outcome)
     table = rows(outcomes)
-    print(table_text(table))
+    print(table_text(table, HEAD))
     if args.json is not None:
         write_atomically(args.json, json.dumps([asdict(o) for o in outcomes], indent=1).encode())
     if args.markdown is not None:
-        write_markdown(args.markdown, table)
+        write_markdown(args.markdown, markdown(table, HEAD), BEGIN, END)
     return 0
 
 

@@ -23,7 +23,9 @@ if "broken" in log.name:
 out.mkdir()
 cells = 900 if "deskew.mode=none" not in sys.argv else 1000
 summary = {{"counts": {{"scans": 3}}, "distances": {{"travelled_m": 2.0, "log_duration_s": 120.0}},
-           "crispness": {{"cells": cells, "entropy_nats": 5.0}}}}
+           "crispness": {{"cells": cells, "entropy_nats": 5.0}},
+           "loops": {{"in_use": 40, "in_use_satisfied": 40, "in_use_satisfied_percent": 100.0,
+                     "refused_by_the_last_solve": 2, "taken_out_while_mapping": 1}}}}
 (out / "summary.json").write_text(json.dumps(summary))
 (out / "trajectory.tum").write_text("1 0 0 0 0 0 0 1\\n2 1 0 0 0 0 0 1\\n3 2.5 0 0 0 0 0 1\\n")
 """

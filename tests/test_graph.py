@@ -313,3 +313,69 @@ def test_the_same_edges_give_the_same_bits():
         graph.optimize(graph.live_edges())
         results.append(graph.poses().tobytes())
     assert results[0] == results[1]
+
+
+def there_and_back(count=60):
+    """A drive ahead and back beside itself, its steps a little wrong, and the truth."""
+    ahead = np.tile([0.5, 0.0, 0.0], (count, 1))
+    turn = np.array([[0.0, 0.5, 0.5 * math.pi], [0.5, 0.0, 0.5 * math.pi]])
+    steps = np.concatenate([ahead, turn, ahead])
+    noise = np.random.default_rng(5).normal(0.0, [0.02, 0.01, 0.002], steps.shape)
+    return se2.compose(steps, se2.exp(noise)), dead_reckoned(steps)
+
+
+def drive_with_loops(steps, loops):
+    """Keyframe by keyframe, each with its loops; what disputes took out and brought back."""
+    graph = PoseGraph(GraphConfig())
+    graph.add_first(np.zeros(3))
+    taken_out, brought_back = [], []
+    for k, step in enumerate(steps, start=1):
+        graph.add_keyframe(step, [Edge("scan", k - 1, k, step, np.diag([2500.0, 1e4, 2.5e5]))])
+        here = [loop for loop in loops if loop.j == k]
+        for loop in here:
+            graph.add_edge(loop)
+        if here:
+            out, back = graph.settle_disputes()
+            taken_out += out
+            brought_back += back
+    return graph, taken_out, brought_back
+
+
+def loop_between(truth, i, j, off=(0.0, 0.0, 0.0)):
+    measured = se2.compose(np.array(off), se2.between(truth[i], truth[j]))
+    return Edge("loop", i, j, measured, np.diag([2500.0, 2500.0, 4e4]))
+
+
+def test_wrong_loops_that_tell_one_story_are_taken_out_while_mapping():
+    """Four loops say that the way back is 5 m further on than it is; those that come later say otherwise."""
+    steps, truth = there_and_back()
+    wrong = [loop_between(truth, 50 - n, 70 + n, (5.0, 0.0, 0.0)) for n in range(4)]
+    true = [loop_between(truth, 40 - 2 * n, 82 + 2 * n) for n in range(12)]
+    graph, taken_out, _ = drive_with_loops(steps, [*wrong, *true])
+    assert {(e.i, e.j) for e in taken_out} == {(e.i, e.j) for e in wrong}
+    assert_poses(graph.poses(), drive_with_loops(steps, true)[0].poses(), 0.02)
+    assert not {id(e) for e in wrong} & {id(e) for e in graph.live_edges()}
+    assert len(graph.edges_to_judge()) == len(steps) + 16, "the last solve judges them once more"
+
+
+def test_loops_that_were_outvoted_come_back():
+    """The first true loops stand alone against a wrong story, until others agree with them."""
+    steps, truth = there_and_back()
+    first = [loop_between(truth, 52, 68), loop_between(truth, 51, 69)]
+    wrong = [loop_between(truth, 49 - n, 71 + n, (5.0, 0.0, 0.0)) for n in range(5)]
+    later = [loop_between(truth, 40 - 2 * n, 82 + 2 * n) for n in range(12)]
+    graph, _, _ = drive_with_loops(steps, [*first, *wrong, *later])
+    live = {id(e) for e in graph.live_edges()}
+    assert all(id(e) in live for e in first) and not any(id(e) in live for e in wrong)
+    assert_poses(graph.poses(), drive_with_loops(steps, [*first, *later])[0].poses(), 0.02)
+
+
+def test_a_loop_in_use_is_satisfied_in_the_end():
+    """Two loops that contradict each other by 0.4 m, neither outvoted: at most one of them stays."""
+    steps, truth = there_and_back()
+    graph, _, _ = drive_with_loops(steps, [])
+    both = [loop_between(truth, 10, 110), loop_between(truth, 11, 109, (0.4, 0.0, 0.0))]
+    edges = graph.optimize_satisfied(graph.optimize_with([*graph.live_edges(), *both]))
+    kept = [e for e in edges if e.kind == "loop" and e.weight >= 0.5]
+    off = [se2.between(e.i_T_j, se2.between(graph.poses()[e.i], graph.poses()[e.j])) for e in kept]
+    assert len(kept) <= 1 and all(np.hypot(*x[:2]) < 0.2 for x in off)

@@ -161,6 +161,8 @@ def run_summary(log: Log, slam: Slam, solution: Solution, interrupted: bool, cpu
             "searches": statistics.searches,
             "places_tried": statistics.places_tried,
             "accepted": statistics.accepted,
+            "taken_out_while_mapping": statistics.taken_out,
+            "brought_back_while_mapping": statistics.brought_back,
             "refused": dict(sorted(statistics.refused.items())),
         },
         "searched_fits": sum(step.searched for step in slam.steps),
@@ -183,7 +185,7 @@ def say(outcome: Outcome, folder: Path) -> None:
     """What came out, and where it lies."""
     summary = outcome.summary
     counts, distances = summary["counts"], summary["distances"]
-    loops = summary["edges"].get("loop", {"count": 0})["count"]
+    loops = summary["loops"]["in_use"]
     print(
         f"{counts['scans']} scans, {distances['travelled_m']:.0f} m, {counts['keyframes']} keyframes, {loops} loops, "
         f"{summary['real_time_factor']:.0f} x real time"

@@ -12,11 +12,13 @@ import numpy as np
 import factors
 from mfslam import se2
 from mfslam.config import GraphConfig
+from mfslam.graph.robust_solve import graduated_solve
 from mfslam.kernels import poses as pose_kernels
 from mfslam.types import Edge, FloatArray, MfslamError
 
 SETTLED = 0.1  # m or rad: a loop that moves the newest pose less needs no further iteration
 NEAR_M, NEAR_RAD = 0.1, 0.02  # a loop that contradicts the poses by less can wait for a solve
+DISPUTE_LEAST, DISPUTE_SHARE = 3, 0.1  # new loops, of all, before the next dispute is settled
 PRIOR_SIGMAS = np.array([1e-4, 1e-4, 1e-5])  # the first pose defines the world
 
 
@@ -39,6 +41,8 @@ class PoseGraph:
         self._pending_values = gtsam.Values()
         self._factor_slots: dict[int, int] = {}  # edge number -> slot in iSAM2
         self._removed: set[int] = set()
+        self._refused: set[int] = set()  # loops that a dispute took out
+        self._judged = 0  # loops at the last dispute
         self._is_contradicted = False  # by a loop that waits
 
     def __len__(self) -> int:
@@ -85,7 +89,7 @@ class PoseGraph:
         self._settle()
 
     def live_edges(self) -> list[Edge]:
-        return [e for n, e in enumerate(self.edges) if n not in self._removed]
+        return [e for n, e in enumerate(self.edges) if n not in self._removed | self._refused]
 
     def poses(self) -> FloatArray:
         """(K, 3) world_T_body of every keyframe, as the latest solve has them."""
@@ -119,23 +123,7 @@ class PoseGraph:
         solution.
         """
         self._flush()
-        values = self._values()
-        loops = [n for n, e in enumerate(edges) if e.kind == "loop"]
-        weights = np.ones(len(edges))
-        graph = self._graph(edges, robust=False)
-        if loops:
-            params = gtsam.GncLMParams()
-            params.setLossType(gtsam.GncLossType.TLS)
-            # the default schedule: the faster one believes false loops where true ones are few
-            params.setScheduler(gtsam.GncScheduler.Linear)
-            # slot 0 is the prior
-            params.setKnownInliers(sorted(set(range(graph.size())) - {n + 1 for n in loops}))
-            gnc = gtsam.GncLMOptimizer(graph, values, params)
-            gnc.setInlierCostThresholdsAtProbability(self.config.loop_inlier_probability)
-            values = gnc.optimize()
-            weights[:] = np.asarray(gnc.getWeights())[1:]
-        else:
-            values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+        values, weights = self._decide(edges)
         self._poses[:] = gtsam.utilities.extractPose2(values)
         return [dataclasses.replace(e, weight=float(w)) for e, w in zip(edges, weights, strict=True)]
 
@@ -152,12 +140,51 @@ class PoseGraph:
             dataclasses.replace(e, weight=self._kernel_weight(e)) if e.weight >= 0.5 else e for e in edges
         ]
 
+    def optimize_satisfied(self, edges: list[Edge]) -> list[Edge]:
+        """The same until every loop in use (weight of at least one half) is satisfied: those that are not are
+        taken out."""
+        while True:
+            unsatisfied = {n for n, e in enumerate(edges) if e.weight >= 0.5 and self._is_violated(e)}
+            if not unsatisfied:
+                return edges
+            edges = [
+                dataclasses.replace(e, weight=0.0) if n in unsatisfied else e for n, e in enumerate(edges)
+            ]
+            edges = self.optimize_with(edges)
+
+    def settle_disputes(self) -> tuple[list[Edge], list[Edge]]:
+        """Loops that were believed and are taken out now, and loops that come back.
+
+        When a loop is violated, the robust batch solve decides between all that were ever found. Not for each
+        new one: a fair share of them has to be new since the last time.
+        """
+        loops = [n for n, e in enumerate(self.edges) if e.kind == "loop" and n not in self._removed]
+        if len(loops) - self._judged < max(DISPUTE_LEAST, DISPUTE_SHARE * len(loops)):
+            return [], []
+        self._flush()
+        if not any(self._is_violated(self.edges[n]) for n in loops if n not in self._refused):
+            return [], []
+        self._judged = len(loops)
+        numbers = [n for n in range(len(self.edges)) if n not in self._removed]
+        values, weights = self._decide([self.edges[n] for n in numbers])
+        refused = {n for n, w in zip(numbers, weights, strict=True) if w < 0.5}
+        out, back = refused - self._refused, self._refused - refused
+        if out or back:
+            self._refused = refused
+            self._poses[:] = gtsam.utilities.extractPose2(values)
+            self._rebuild()
+        return [self.edges[n] for n in sorted(out)], [self.edges[n] for n in sorted(back)]
+
     def release(self) -> None:
         """Drop the incremental solution and the edges; the poses stay."""
         self._isam = self._new_isam()
         self.edges, self._factor_slots = [], {}
         self._pending_edges, self._pending_factors = [], gtsam.NonlinearFactorGraph()
         self._pending_values = gtsam.Values()
+
+    def edges_to_judge(self) -> list[Edge]:
+        """The live edges, and the loops that a dispute took out: a last solve may see more than it did."""
+        return [e for n, e in enumerate(self.edges) if n not in self._removed]
 
     # --- inside ---------------------------------------------------------------------------------------
 
@@ -193,6 +220,22 @@ class PoseGraph:
         i_T_j = pose_kernels.between(self._poses[edge.i], self._poses[edge.j])
         error: FloatArray = pose_kernels.between(edge.i_T_j, i_T_j)
         return error
+
+    def _is_violated(self, edge: Edge) -> bool:
+        """Whether a loop is off by more than one in use may be, at the poses as they stand."""
+        if edge.kind != "loop":
+            return False
+        x, y, theta = self._error(edge)
+        limit_m, limit_rad = self.config.loop_satisfied_m, math.radians(self.config.loop_satisfied_deg)
+        return math.hypot(x, y) > limit_m or abs(theta) > limit_rad
+
+    def _decide(self, edges: list[Edge]) -> tuple[gtsam.Values, FloatArray]:
+        """Robust batch solve from the poses as they stand: solution and weight of each edge."""
+        doubtful = [n + 1 for n, e in enumerate(edges) if e.kind == "loop"]  # slot 0 is the prior
+        values, weights = graduated_solve(
+            self._graph(edges, robust=False), self._values(), doubtful, self.config.loop_inlier_probability
+        )
+        return values, weights[1:]
 
     def _kernel_weight(self, edge: Edge) -> float:
         """What the Cauchy kernel leaves of a scan or loop edge at the poses as they stand."""
@@ -246,7 +289,7 @@ class PoseGraph:
     def _rebuild(self) -> None:
         """A failed update leaves ISAM2 corrupt: start anew from the record of edges and poses."""
         self._isam = self._new_isam()
-        numbers = [n for n in range(len(self.edges)) if n not in self._removed]
+        numbers = [n for n in range(len(self.edges)) if n not in self._removed | self._refused]
         graph = gtsam.NonlinearFactorGraph()
         graph.add(factors.prior_factor(0, self._poses[0], PRIOR_SIGMAS))
         for n in numbers:

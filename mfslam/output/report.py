@@ -59,7 +59,7 @@ def _tiles(summary: dict[str, Any]) -> str:
         ("length_of_log", value_text("log_duration_s", distances["log_duration_s"])),
         ("scans", value_text("scans", counts["scans"])),
         ("keyframes", value_text("keyframes", counts["keyframes"])),
-        ("loop_closures", value_text("count", _loops_kept(summary))),
+        ("loops_in_use", value_text("count", summary["loops"]["in_use"])),
         ("map", f"{grid['width_m']:.0f} × {grid['height_m']:.0f} m"),
     ]
     if isinstance(summary.get("real_time_factor"), (int, float)):
@@ -68,11 +68,6 @@ def _tiles(summary: dict[str, Any]) -> str:
         f'<div class="tile"><b>{escape(v)}</b><span>{escape(caption(k))}</span></div>' for k, v in tiles
     )
     return f'<div class="tiles">{cells}</div>'
-
-
-def _loops_kept(summary: dict[str, Any]) -> int:
-    loops = summary["edges"].get("loop", {"count": 0, "rejected": 0})
-    return int(loops["count"] - loops["rejected"])
 
 
 def _warnings(result: RunResult, summary: dict[str, Any]) -> str:

@@ -14,6 +14,7 @@ from mfslam.types import Edge, EdgeKind, FloatArray, IntArray, RunResult
 
 KINDS: tuple[EdgeKind, ...] = ("scan", "loop", "odometry", "heading", "prior")
 CRISPNESS_CELL_M = 0.02
+SATISFIED_M, SATISFIED_DEG = 0.2, 1.0  # as others publish it: loops violated by less, of all
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +90,7 @@ def summarise(result: RunResult) -> dict[str, Any]:
         },
         "edges": _per_kind(keyframes, result.edges),
         "uncertainty": _uncertainty(result.covariances),
+        "loops": loops_in_use(keyframes, result.edges),
         "crispness": {"cell_m": CRISPNESS_CELL_M}
         | crispness(result.points.points_m, CRISPNESS_CELL_M).as_json(),
     }
@@ -140,6 +142,21 @@ def _per_kind(world_T_keyframe: FloatArray, edges: list[Edge]) -> dict[str, dict
             "residual_median_sigmas": float(np.median(residuals.sigmas[of_kind])),
         }
     return out
+
+
+def loops_in_use(world_T_keyframe: FloatArray, edges: list[Edge]) -> dict[str, Any]:
+    """How many loops the final solution rests on, how many of those it satisfies, and how many it refused."""
+    loops = [edge for edge in edges if edge.kind == "loop"]
+    residuals = edge_residuals(world_T_keyframe, loops)
+    used = np.array([edge.weight >= 0.5 for edge in loops], dtype=np.bool_)
+    satisfied = (residuals.translation_m < SATISFIED_M) & (np.degrees(residuals.rotation_rad) < SATISFIED_DEG)
+    return {
+        "in_use": int(used.sum()),
+        "in_use_satisfied": int((used & satisfied).sum()),
+        "in_use_satisfied_percent": 100.0 * float(satisfied[used].mean()) if used.any() else None,
+        "refused_by_the_last_solve": int((~used).sum()),
+        "satisfied_means": f"violated by less than {SATISFIED_M:g} m and {SATISFIED_DEG:g} deg after the final solve",
+    }
 
 
 def json_text(data: Any) -> str:

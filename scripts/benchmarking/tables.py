@@ -35,6 +35,25 @@ def cost_table(outcomes: list[Outcome]) -> Table:
     return [head, *rows]
 
 
+def loops_table(outcomes: list[Outcome]) -> Table:
+    head = [
+        "log",
+        "loops in use",
+        "of these satisfied",
+        "refused by the last solve",
+        "taken out while mapping",
+    ]
+    rows = []
+    for o in outcomes:
+        if o.failure is None and o.variant == "deskew on":
+            loops = o.summary["loops"]
+            share = loops["in_use_satisfied_percent"]
+            satisfied = f"{loops['in_use_satisfied']:,} ({share:.1f} %)" if share is not None else "-"
+            refused, out = loops["refused_by_the_last_solve"], loops["taken_out_while_mapping"]
+            rows.append([o.log, f"{loops['in_use']:,}", satisfied, f"{refused:,}", f"{out:,}"])
+    return [head, *rows]
+
+
 def crispness_table(outcomes: list[Outcome]) -> Table:
     head = ["log", "variant", "2 cm cells", "against off", "entropy nats"]
     plain = {
@@ -64,6 +83,10 @@ def tables(outcomes: list[Outcome]) -> list[tuple[str, Table]]:
     all_tables = [
         ("Relations error (Kuemmerle et al. 2009)", accuracy_table(outcomes)),
         ("Cost of the whole command, kernels compiled", cost_table(outcomes)),
+        (
+            "Loops: satisfied is violated by less than 0.2 m and 1 deg after the final solve",
+            loops_table(outcomes),
+        ),
         ("Crispness of the re-projected points (lower is sharper)", crispness_table(outcomes)),
         ("Not mapped", failures_table(outcomes)),
     ]

@@ -15,6 +15,7 @@ from plyfile import PlyData
 
 from mfslam.config import Config
 from mfslam.output import GraphFile, ply, prepare_folder, read_g2o, read_map, read_tum, write_run
+from mfslam.output.summary import loops_in_use
 from mfslam.settings import load
 from mfslam.types import Edge, Findings, MfslamError, OccupancyGrid, PointCloud, RunResult
 
@@ -70,6 +71,20 @@ def test_summary_counts(result: RunResult, tmp_path: Path) -> None:
     assert summary["distances"]["travelled_m"] == pytest.approx(152.0, rel=0.01)
     assert summary["loops"]["refused"]["poor_fit"] == 4  # what the engine said is kept
     assert summary["findings"][0]["code"] == "stamp-backwards"
+
+
+def test_loops_in_use_are_counted_and_held_against_the_solution() -> None:
+    """Of four loops over 1 m one is exact, one off by 0.3 m, one by 2 deg, and one, off too, not in use."""
+    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    measured = ([1.0, 0.0, 0.0], [1.3, 0.0, 0.0], [1.0, 0.0, np.radians(2.0)], [9.0, 0.0, 0.0])
+    weights = (1.0, 1.0, 1.0, 0.0)
+    loops = [
+        Edge("loop", 0, 1, np.array(m), np.eye(3), weight=w) for m, w in zip(measured, weights, strict=True)
+    ]
+    told = loops_in_use(poses, [*loops, Edge("scan", 0, 1, np.zeros(3), np.eye(3))])
+    assert (told["in_use"], told["in_use_satisfied"], told["refused_by_the_last_solve"]) == (3, 1, 1)
+    assert told["in_use_satisfied_percent"] == pytest.approx(100.0 / 3.0)
+    assert loops_in_use(poses, [])["in_use_satisfied_percent"] is None
 
 
 def test_a_run_is_not_overwritten_unasked(result: RunResult, tmp_path: Path) -> None:
