@@ -112,7 +112,7 @@ class SensorHealth:
             "rate_hz": round(self.rate_hz, 3),
             "delay_s": round(self.delay_s, 5),
             "reconnects": self.reconnects,
-            "errors": dict(sorted(self.errors.items())),
+            "errors": {kind: n for kind, n in sorted(self.errors.items()) if n},
             "text": self.text,
         }
 

@@ -355,6 +355,17 @@ class ScipConfig(_Stage):
     )
 
 
+class BoardConfig(_Stage):
+    """A live encoder board. Ticks and sides are those of ``wheels``."""
+
+    baud: int | None = Field(
+        None,
+        gt=0,
+        description="Bit rate. Null: 115200 (board), 57600 (arduino: the firmware of ros_arduino_bridge).",
+    )
+    rate_hz: float = Field(50.0, gt=0, le=500, description="Readings asked of an arduino, Hz.")
+
+
 class Config(_Stage):
     """All stages."""
 
@@ -370,3 +381,4 @@ class Config(_Stage):
     refine: RefineConfig = RefineConfig()
     map: MapConfig = MapConfig()
     scip: ScipConfig = ScipConfig()
+    board: BoardConfig = BoardConfig()

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.base import SensorHealth, SensorTrouble
+from drivers.base import SensorTrouble
 from drivers.clock_sync import ClockSync
-from drivers.host_clock import HostClock
 from drivers.laser_models import LogGeometry, clean_ranges, laser_from
+from drivers.live_sensor import LiveSensor, NoAnswer
+from drivers.scip import requests
 from drivers.scip.replies import Parameters, RawScan
 from drivers.scip.requests import Window
-from drivers.scip.session import TICK_S, NoAnswer, Session, Stopped
+from drivers.scip.session import TICK_S, Session
 from drivers.scip.status import range_code
-from drivers.transport import Transport, Unplugged, open_transport
+from drivers.transport import Transport
 from mfslam.config import Config, ScipConfig
 from mfslam.types import Laser, Message, MfslamError, Scan
 
-PAUSE_S = 0.5  # between two attempts to find a lost sensor again
 PACE_SCANS = 50  # scans that tell the mirror's true pace
 PACE_TOLERANCE = 0.003  # less than this off the told pace is no news
 
@@ -90,75 +88,31 @@ def _deg(told: Parameters, step: int) -> float:
     return (step - told.front_step) * 360.0 / told.steps_per_turn
 
 
-class UrgSensor:
-    """A `drivers.base.Sensor`: ``address`` is a serial device or host:port."""
+class UrgSensor(LiveSensor):
+    """Scans of a Hokuyo; ``address`` is a serial device or host:port."""
 
-    def __init__(
-        self,
-        address: str,
-        config: Config,
-        clock: HostClock | None = None,
-        open_line: Callable[[str, int], Transport] = open_transport,
-        pause: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self.health = SensorHealth(f"urg:{address}")
+    def __init__(self, address: str, config: Config, **line: object) -> None:
+        super().__init__(f"urg:{address}", address, config.scip.baud or 115200, **line)  # type: ignore[arg-type]
         self.range_codes: dict[str, int] = {}
-        self._address, self._config, self._settings = address, config, config.scip
-        self._clock = clock or HostClock()
-        self._open_line, self._pause = open_line, pause
-        self._ever = False
-        self._baud = config.scip.baud or 115200
+        self._config, self._settings = config, config.scip
 
-    def messages(self, stopped: Callable[[], bool]) -> Iterator[Message]:
-        """Scans; see `drivers.base.Sensor`."""
-        while not stopped():
-            try:
-                line = self._open_line(self._address, self._baud)
-            except Unplugged as error:
-                self._lost(str(error))
-                self._pause(PAUSE_S)
-                continue
-            session = Session(line, self.health.errors, stopped=stopped)
-            try:
-                yield from self._measure(session)
-            except Unplugged as error:
-                self._lost(str(error))
-            except NoAnswer as error:
-                self._lost(f"{self._address}: {error}")
-            except SensorTrouble as error:
-                self._lost(f"{self._address}: {error}")
-                self._recover(session)
-            except Stopped:
-                pass
-            finally:
-                self._leave(session)
-            if not stopped():
-                self._pause(PAUSE_S)
-
-    def _lost(self, why: str) -> None:
-        """Remember it; at the start, when the sensor was never there, give up."""
-        if not self._ever:
-            raise SensorTrouble(f"{self.health.name}: {why.removeprefix(self._address + ': ')}")
-        if self.health.connected:
-            self.health.reconnects += 1
-        self.health.lost(why)
-
-    def _recover(self, session: Session) -> None:
+    def _talk(self, line: Transport, stopped: Callable[[], bool]) -> Iterator[Message]:
+        session = Session(line, self.health.errors, stopped=stopped)
         try:
+            yield from self._measure(session)
+        except NoAnswer:
+            raise
+        except SensorTrouble:
             session.reset()
-        except (OSError, Stopped):
-            return
+            raise
 
-    def _leave(self, session: Session) -> None:
-        with contextlib.suppress(OSError):
-            session.end()
-        session.line.close()
+    def _take_leave(self, line: Transport) -> None:
+        line.write(requests.QUIT)  # laser off
 
     def _measure(self, session: Session) -> Iterator[Scan]:
         parameters = session.begin(self._settings.baud)
-        self._baud = session.line.baud() or self._baud  # where it is found first after an unplug
+        self.baud = session.line.baud() or self.baud  # where it is found first after an unplug
         geometry = Geometry.of(parameters, self._settings)
-        self._ever = True
         self.health.text = "waiting for the first scan"
         pace = _Pace(60.0 / parameters.rpm)
         session.clock.least_delay_s = self._least_delay_s(geometry, pace.period_s, session.line.baud())
@@ -175,8 +129,8 @@ class UrgSensor:
             # the timer rounds down
             sensed_s = session.clock.host_s(device_s + 0.5 * TICK_S)
             first_s = sensed_s + geometry.first_beam_s(pace.period_s, self._settings)
-            self.health.saw(self._clock.stamp_ns(first_s), raw.received_s - first_s)
-            yield Scan(self._clock.stamp_ns(first_s), self._ranges(raw, parameters, laser), laser)
+            self.health.saw(self.clock.stamp_ns(first_s), raw.received_s - first_s)
+            yield Scan(self.clock.stamp_ns(first_s), self._ranges(raw, parameters, laser), laser)
 
     def _least_delay_s(self, geometry: Geometry, period_s: float, baud: int | None) -> float:
         """From step 0 to the arrival of the last byte: the turn to the last step, and the bytes' way."""

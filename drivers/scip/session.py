@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from drivers.base import SensorTrouble
 from drivers.clock_sync import ClockSync, Unwrapped
+from drivers.live_sensor import LOOK_UP_S, NoAnswer, Stopped
 from drivers.scip import requests, status
 from drivers.scip.replies import (
     DamagedReply,
@@ -28,18 +29,9 @@ ANSWER_S, TRIES = 0.4, 4  # a sensor answers at once, unless the request or its 
 FIRST_SCAN_S = 6.0  # mirror and laser take their time
 SILENT_S = 1.0
 VERIFY_S = 15.0
-LOOK_UP_S = 0.2  # how often a wait looks up whether it is still wanted
 EXCHANGES = 16
 TIMER_BITS, TICK_S = 24, 1e-3
 ASK_AGAIN_S = 5e-3
-
-
-class Stopped(Exception):
-    """Whoever listens has had enough."""
-
-
-class NoAnswer(SensorTrouble):
-    """Nothing intelligible came back."""
 
 
 @dataclass
@@ -255,7 +247,3 @@ class Session:
         self._quiet()
         self.line.write(requests.RESET)
         self._next(ANSWER_S)
-
-    def end(self) -> None:
-        """Laser off."""
-        self.line.write(requests.QUIT)

@@ -67,7 +67,7 @@ class Motion:
         turned = np.interp(times_s, self.times_s, total[:, 2])
         return forward, turned
 
-    def twist_at(self, times_s: FloatArray) -> FloatArray:
+    def twist_at(self, times_s: FloatArray | float) -> FloatArray:
         """Body twist (..., 3) at times (...)."""
         times = np.asarray(times_s, dtype=np.float64)
         knot = np.searchsorted(self.times_s, times, side="right") - 1

@@ -36,11 +36,13 @@ class Rig:
         self.urg = SimulatedUrg(self.room, **options)
         self.wire = Wire(self.urg, faults or LineFaults(), paced=host_baud is not None)
         self.line = VirtualLine(self.wire, host_baud)
-        self.sensor = UrgSensor(
-            "line", load(settings=settings), HostClock(0.0, 0), self.line.open, self.line.pause
-        )
+        self.sensor = self.sensor_with(load(settings=settings))
         if host_baud is not None and not any("baud" in s for s in settings):
-            self.sensor._baud = host_baud
+            self.sensor.baud = host_baud
+
+    def sensor_with(self, config: Config) -> UrgSensor:
+        line = self.line
+        return UrgSensor("line", config, clock=HostClock(0.0, 0), open_line=line.open, pause=line.pause)
 
     def scans(self, count: int) -> list[Scan]:
         found = [m for m in first(self.sensor.messages(until(self.line, 1e6)), count) if isinstance(m, Scan)]
@@ -214,8 +216,7 @@ def test_error_codes_are_counted_and_never_ranges() -> None:
 def test_presets_keep_their_ranges_and_mount() -> None:
     config = load(settings=("sensor.range_max_m=4.0", "sensor.mount_x_m=0.1", "sensor.stamp_at=last"))
     rig = Rig()
-    rig.sensor = UrgSensor("line", config, HostClock(0.0, 0), rig.line.open, rig.line.pause)
-    scan = next(rig.sensor.messages(lambda: False))
+    scan = next(rig.sensor_with(config).messages(lambda: False))
     assert isinstance(scan, Scan)
     assert scan.laser.range_max_m == 4.0 and scan.laser.body_T_laser[0] == 0.1
     assert scan.laser.offsets_s[0] == 0.0 and Config().scip.baud is None

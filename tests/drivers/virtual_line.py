@@ -44,7 +44,9 @@ class VirtualLine:
         return self
 
     def pause(self, seconds: float) -> None:
-        self.time_s += seconds
+        for _ in range(round(seconds / STEP_S)):  # nobody listens
+            self.time_s += STEP_S
+            self.wire.to_host(self.time_s, self._baud)
 
     def read(self, timeout_s: float) -> bytes:
         for _ in range(max(1, math.ceil(timeout_s / STEP_S))):

@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.laser_models import LogGeometry, laser_from
 from drivers.simulator.motion import Motion
-from drivers.simulator.robot import RobotModel, drive
+from drivers.simulator.robot import RobotModel, drive, encoder_ticks, wheel_angles
 from drivers.simulator.sensing import sense
 from drivers.simulator.sensors import LaserModel
 from drivers.simulator.world import World
@@ -45,6 +45,7 @@ URG_MODELS = {
     "utm-30lx": UrgModel("UTM-30LX", "utm-30lx", 23, 60000, 1440, 0, 1080, 540, 2400, 65533),
 }
 TOO_NEAR = 7  # an error code
+WHEEL_STEP_S = 0.005  # slip is drawn for so long
 
 
 @dataclass
@@ -60,7 +61,9 @@ class Stage:
 
     def __post_init__(self) -> None:
         self.motion: Motion = drive(self.world, self.robot)
-        self._rngs = np.random.default_rng(self.seed).spawn(2)
+        *self._rngs, wheel_rng, self._gyro_rng = np.random.default_rng(self.seed).spawn(4)
+        self._times_s = np.arange(0.0, self.motion.duration_s + WHEEL_STEP_S, WHEEL_STEP_S)
+        self._wheel_rad = wheel_angles(self.motion, self.robot, self._times_s, wheel_rng)
         step_rad = 2.0 * math.pi / self.urg.steps_per_turn
         steps = self.urg.last_step - self.urg.first_step + 1
         told = LogGeometry(
@@ -93,3 +96,19 @@ class Stage:
         millimetres[np.isnan(metres)] = TOO_NEAR
         millimetres[np.isposinf(metres)] = self.urg.nothing
         return millimetres
+
+    def ticks(self, at_s: float) -> tuple[int, int]:
+        """Counters of the left and right wheel, slip included."""
+        angles = np.array([[np.interp(at_s, self._times_s, side) for side in self._wheel_rad.T]])
+        left, right = encoder_ticks(angles, self.robot.wheels)[0]
+        return int(left), int(right)
+
+    def gyro_rad_s(self, at_s: float) -> float:
+        rate = float(self.motion.twist_at(at_s)[2]) * (1.0 + self.robot.gyro_scale_error)
+        return (
+            rate + self.robot.gyro_bias_rad_s + float(self._gyro_rng.normal(0.0, self.robot.gyro_sigma_rad_s))
+        )
+
+    def heading_rad(self, at_s: float) -> float:
+        noise = float(self._gyro_rng.normal(0.0, self.robot.compass_sigma_rad or 0.0))
+        return float(self.motion.at(at_s)[2]) + self.robot.compass_bias_rad + noise

@@ -89,13 +89,15 @@ class Wire:
 
     def to_device(self, data: bytes, now_s: float, host_baud: int | None = None) -> None:
         """Bytes from the host; at another bit rate than the device's they are noise."""
+        self._start(now_s)
         if self._deaf(host_baud):
             data = self._noise(len(data))
         self.device.receive(self._bent(data), now_s)
 
     def to_host(self, now_s: float, host_baud: int | None = None) -> bytes:
         """What has come through by ``now_s``."""
-        self.start_s = now_s if self.start_s is None else self.start_s
+        self._start(now_s)
+        assert self.start_s is not None
         since_s = now_s - (now_s if self._last_s is None else self._last_s)
         self._last_s = now_s
         while self._todo and self._todo[0].at_s <= now_s - self.start_s:
@@ -114,6 +116,12 @@ class Wire:
         out = self._take(most)
         self._credit_s -= len(out) * BITS_PER_BYTE / self.device.baud
         return self._noise(len(out)) if self._deaf(host_baud) else out
+
+    def _start(self, now_s: float) -> None:
+        """What was said before anyone listened is lost."""
+        if self.start_s is None:
+            self.start_s = now_s
+            self.device.speak(now_s, False)
 
     def _take(self, most: int) -> bytes:
         out = bytearray()
