@@ -62,7 +62,7 @@ def test_two_equal_rooms_are_two_answers():
 def test_points_out_of_reach_are_no_part_of_a_place():
     points = np.array([[0.0, 0.0], [1.0, 1.0], [40.0, 0.0]])
     place = SearchMap.of(points, np.zeros(2), 5.0, 0.1)
-    assert place.levels.shape[1:] == (16, 16)
+    assert place.levels.shape[1:] == (16 + 17, 16 + 17)
     lonely = SearchMap.of(points + 100.0, np.zeros(2), 5.0, 0.1)
     assert lonely.levels[0].any(), "a place without any point in reach keeps one"
 

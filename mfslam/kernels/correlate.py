@@ -32,13 +32,18 @@ def likelihood_grid(
 
 @njit(cache=True, nogil=True)
 def pyramid(grid: ByteArray, levels: int) -> ByteArray:
-    """(levels, rows, cols): level h holds the maximum over the 2^h x 2^h block that starts at each cell,
-    an upper bound of the score for every shift inside the block."""
-    rows, cols = grid.shape
+    """(levels, B + rows + 1, B + cols + 1) with B = 2^(levels - 1): level h holds the maximum over the
+    2^h x 2^h block that starts at each cell, an upper bound of the score for every shift inside the block.
+
+    Cell (0, 0) of the grid lies at [h, B, B]: blocks that start before the grid may still reach into it. The
+    first and the last row and column are all zeros: where whatever lies farther out looks.
+    """
+    pad = 1 << (levels - 1)
+    rows, cols = grid.shape[0] + pad + 1, grid.shape[1] + pad + 1
     out = np.zeros((levels, rows, cols), np.uint8)
-    for i in range(rows):  # a whole level at once would take seconds to compile
-        for j in range(cols):
-            out[0, i, j] = grid[i, j]
+    for i in range(grid.shape[0]):  # a whole level at once would take seconds to compile
+        for j in range(grid.shape[1]):
+            out[0, i + pad, j + pad] = grid[i, j]
     for h in range(1, levels):
         step = 1 << (h - 1)
         for i in range(rows):
@@ -50,24 +55,24 @@ def pyramid(grid: ByteArray, levels: int) -> ByteArray:
     return out
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _score(grid: ByteArray, cx: IntArray, cy: IntArray, ox: int, oy: int, pad: int) -> int:
-    """Sum over the points shifted by (ox, oy) cells; ``pad`` cells below 0 still count as their block."""
-    rows, cols = grid.shape
-    total = 0
-    for k in range(cx.shape[0]):
-        x, y = cx[k] + ox, cy[k] + oy
-        if x < 0:
-            if x <= -pad:
-                continue
-            x = 0
-        if y < 0:
-            if y <= -pad:
-                continue
-            y = 0
-        if x < cols and y < rows:
-            total += grid[y, x]
-    return total
+@njit(cache=True, nogil=True)
+def _four_scores(
+    levels: ByteArray, h: int, xs: IntArray, ys: IntArray, ox: int, oy: int, step: int, out: IntArray
+) -> None:
+    """Sums at level ``h`` over the points shifted by (ox, oy), (ox, oy + step), (ox + step, oy) and
+    (ox + step, oy + step) cells. All four at once: their looks into memory do not wait for each other."""
+    last_y, last_x = levels.shape[1] - 1, levels.shape[2] - 1
+    grid = levels[h]
+    s00 = s01 = s10 = s11 = 0
+    for k in range(xs.shape[0]):
+        x0, y0 = xs[k] + ox, ys[k] + oy
+        x1, y1 = max(0, min(last_x, x0 + step)), max(0, min(last_y, y0 + step))
+        x0, y0 = max(0, min(last_x, x0)), max(0, min(last_y, y0))
+        s00 += grid[y0, x0]
+        s01 += grid[y1, x0]
+        s10 += grid[y0, x1]
+        s11 += grid[y1, x1]
+    out[0], out[1], out[2], out[3] = s00, s01, s10, s11
 
 
 @njit(cache=True, nogil=True)
@@ -84,13 +89,14 @@ def branch_and_bound(
 ) -> tuple[FloatArray, float]:
     """Best pose of ``points`` (M, 2) within the window about ``center``, exactly as on the finest grid.
 
-    ``angles``: headings added to the centre's. ``min_score`` and the returned score are shares of the
-    perfect one, 0 to 1; a score of 0 says that nothing reached ``min_score``. ``avoid`` (x, y, radius):
-    no answer from inside that circle (radius 0: none is avoided).
+    ``levels``: of `pyramid`, ``origin`` (2,) the corner of its grid. ``angles``: headings added to the
+    centre's. ``min_score`` and the returned score are shares of the perfect one, 0 to 1; a score of 0 says
+    that nothing reached ``min_score``. ``avoid`` (x, y, radius): no answer from inside that circle (radius 0:
+    none is avoided).
     """
     top = levels.shape[0] - 1
     m = points.shape[0]
-    perfect = 255.0 * max(m, 1)
+    perfect = 255 * max(m, 1)
     best = min_score * perfect
     pose = center.copy()
     found = 0.0
@@ -98,37 +104,37 @@ def branch_and_bound(
     block = 1 << top
     per_side = (2 * half) // block + 1
     n_angles = angles.shape[0]
-    cx = np.empty((n_angles, m), np.int64)
-    cy = np.empty((n_angles, m), np.int64)
+    xs = np.empty((n_angles, m), np.int64)
+    ys = np.empty((n_angles, m), np.int64)
     for a in range(n_angles):
         c, s = math.cos(center[2] + angles[a]), math.sin(center[2] + angles[a])
         for k in range(m):
             x = center[0] + c * points[k, 0] - s * points[k, 1]
             y = center[1] + s * points[k, 0] + c * points[k, 1]
-            cx[a, k] = math.floor((x - origin[0]) / cell)
-            cy[a, k] = math.floor((y - origin[1]) / cell)
-    n_top = n_angles * per_side * per_side
-    scores = np.empty(n_top)
+            xs[a, k] = block + math.floor((x - origin[0]) / cell)
+            ys[a, k] = block + math.floor((y - origin[1]) / cell)
+    four = np.zeros(4, np.int64)
+    scores = np.zeros((n_angles, per_side + 1, per_side + 1), np.int64)
     for a in range(n_angles):
-        for u in range(per_side):
-            for v in range(per_side):
-                at = (a * per_side + u) * per_side + v
-                scores[at] = _score(levels[top], cx[a], cy[a], u * block - half, v * block - half, block)
-    order = np.argsort(-scores)
-    # depth first: (level, angle, ox, oy) with the bound that put it on the stack
-    stack = np.empty((4 * (top + 1) + 4, 4), np.int64)
-    bounds = np.empty(4 * (top + 1) + 4)
-    for o in order:
-        if scores[o] <= best:
-            break
-        stack[0, 0], stack[0, 1] = top, o // (per_side * per_side)
-        stack[0, 2] = ((o // per_side) % per_side) * block - half
-        stack[0, 3] = (o % per_side) * block - half
-        bounds[0] = scores[o]
+        for u in range(0, per_side, 2):
+            for v in range(0, per_side, 2):
+                _four_scores(levels, top, xs[a], ys[a], u * block - half, v * block - half, block, four)
+                scores[a, u, v], scores[a, u, v + 1] = four[0], four[1]
+                scores[a, u + 1, v], scores[a, u + 1, v + 1] = four[2], four[3]
+    order = _best_first(scores, perfect, best)
+    # depth first: (level, angle, ox, oy, bound that put it on the stack)
+    stack = np.empty((4 * (top + 1) + 4, 5), np.int64)
+    side = per_side + 1
+    for n in range(order.shape[0]):
+        a, u, v = order[n] // (side * side), (order[n] // side) % side, order[n] % side
+        if u == per_side or v == per_side:
+            continue
+        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = top, a, u * block - half, v * block - half
+        stack[0, 4] = scores[a, u, v]
         depth = 1
         while depth > 0:
             depth -= 1
-            if bounds[depth] <= best:
+            if stack[depth, 4] <= best:
                 continue
             h, a, ox, oy = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
             if h == 0:
@@ -137,25 +143,44 @@ def branch_and_bound(
                     ax, ay = px - avoid[0], py - avoid[1]
                     if ax * ax + ay * ay < avoid[2] * avoid[2]:
                         continue
-                best = bounds[depth]
+                best = float(stack[depth, 4])
                 found = best / perfect
                 pose[0], pose[1], pose[2] = px, py, center[2] + angles[a]
                 continue
             step = 1 << (h - 1)
+            _four_scores(levels, h - 1, xs[a], ys[a], ox, oy, step, four)
             base = depth
-            for du in (0, step):
-                for dv in (0, step):
-                    bound = _score(levels[h - 1], cx[a], cy[a], ox + du, oy + dv, step)
-                    if bound <= best:
-                        continue
-                    # insertion keeps the most promising child on top of the stack
-                    at = depth
-                    while at > base and bounds[at - 1] > bound:
-                        bounds[at] = bounds[at - 1]
-                        for u in range(4):
-                            stack[at, u] = stack[at - 1, u]
-                        at -= 1
-                    bounds[at] = bound
-                    stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3] = h - 1, a, ox + du, oy + dv
-                    depth += 1
+            for child in range(4):
+                bound = four[child]
+                if bound <= best:
+                    continue
+                # insertion keeps the most promising child on top of the stack
+                at = depth
+                while at > base and stack[at - 1, 4] > bound:
+                    for u in range(5):
+                        stack[at, u] = stack[at - 1, u]
+                    at -= 1
+                stack[at, 0], stack[at, 1], stack[at, 4] = h - 1, a, bound
+                stack[at, 2], stack[at, 3] = ox + step * (child // 2), oy + step * (child % 2)
+                depth += 1
     return pose, found
+
+
+@njit(cache=True, nogil=True)
+def _best_first(scores: IntArray, perfect: int, least: float) -> IntArray:
+    """Flat indices of the scores above ``least``, the best first: sorted into 256 bins, which is near enough
+    for an order to search in."""
+    flat = scores.ravel()
+    first = np.zeros(258, np.int64)
+    for k in range(flat.shape[0]):
+        if flat[k] > least:
+            first[257 - (256 * flat[k]) // (perfect + 1)] += 1
+    for b in range(1, 258):
+        first[b] += first[b - 1]
+    order = np.empty(first[257], np.int64)
+    for k in range(flat.shape[0]):
+        if flat[k] > least:
+            b = 256 - (256 * flat[k]) // (perfect + 1)
+            order[first[b]] = k
+            first[b] += 1
+    return order

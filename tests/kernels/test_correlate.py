@@ -28,11 +28,14 @@ def test_likelihood_is_a_gaussian_of_the_distance_to_the_nearest_point():
 @given(st.integers(0, 10_000), st.integers(1, 5))
 def test_a_level_bounds_every_cell_of_its_block(seed, levels):
     grid = np.random.default_rng(seed).integers(0, 256, (13, 17)).astype(np.uint8)
-    stack = correlate.pyramid(grid, levels)
+    stack, pad = correlate.pyramid(grid, levels), 1 << (levels - 1)
+    padded = np.zeros((13 + 3 * pad, 17 + 3 * pad), np.uint8)
+    padded[pad : pad + 13, pad : pad + 17] = grid
     for h in range(levels):
-        for i in range(13):
-            for j in range(17):
-                assert stack[h, i, j] == grid[i : i + (1 << h), j : j + (1 << h)].max()
+        for i in range(pad + 14):
+            for j in range(pad + 18):
+                assert stack[h, i, j] == padded[i : i + (1 << h), j : j + (1 << h)].max()
+    assert not (stack[:, [0, -1]].any() or stack[:, :, [0, -1]].any())
 
 
 def exhaustive(grid, origin, points, center, angles, half_window, levels):
