@@ -229,8 +229,8 @@ class Frontend:
     def _recent_map(self, center: FloatArray) -> SearchMap | None:
         """The recent surface, ready to be searched; None where nothing was seen yet."""
         assert self.reference is not None
-        if self.place is None and len(self.reference[3]):
-            self.place = SearchMap.of(self.reference[3][:, :2], center[:2], SEARCHED_M, 0.1)
+        if self.place is None and len(self.reference[1]):
+            self.place = SearchMap.of(self.reference[1][:, :2], center[:2], SEARCHED_M, 0.1)
         return self.place
 
     def _after_blindness(

@@ -5,67 +5,42 @@ import math
 import numpy as np
 from numba import njit
 
-from mfslam.kernels.cells import CellTable, cell_key, find_slot
+from mfslam.kernels.cells import CellTable
 from mfslam.kernels.matrices import drop_open_direction, open_direction
-from mfslam.kernels.poses import wrap_angle
-from mfslam.types import FloatArray
+from mfslam.kernels.partners import find_partners, nothing_known
+from mfslam.kernels.poses import transform_points, wrap_angle
+from mfslam.types import FloatArray, IntArray
 
 MIN_NORMAL_COS = 0.7  # partners face the same way within 45 deg
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _nearest(
-    table: CellTable, cell: float, x: float, y: float, nx: float, ny: float, radius: float, min_cos: float
-) -> tuple[int, float]:
-    """Row of the nearest point within ``radius`` whose normal agrees (where both have one), or -1."""
-    keys, starts, counts, rows = table
-    best, best_d2 = -1, radius * radius
-    oriented = nx != 0.0 or ny != 0.0
-    x0, x1 = math.floor((x - radius) / cell), math.floor((x + radius) / cell)
-    y0, y1 = math.floor((y - radius) / cell), math.floor((y + radius) / cell)
-    for ix in range(x0, x1 + 1):
-        for iy in range(y0, y1 + 1):
-            key = cell_key(ix, iy)
-            slot = find_slot(keys, key)
-            if keys[slot] != key:
-                continue
-            for q in range(starts[slot], starts[slot] + counts[slot]):
-                dx, dy = rows[q, 0] - x, rows[q, 1] - y
-                d2 = dx * dx + dy * dy
-                if d2 < best_d2:
-                    both_oriented = oriented and (rows[q, 2] != 0.0 or rows[q, 3] != 0.0)
-                    if both_oriented and nx * rows[q, 2] + ny * rows[q, 3] < min_cos:
-                        continue
-                    best, best_d2 = q, d2
-    return best, best_d2
-
-
-@njit(cache=True, nogil=True, inline="always")
+@njit
 def line_residual(
-    table: CellTable, cell: float, x: float, y: float, own_x: float, own_y: float, radius: float
+    rows: FloatArray, q: int, x: float, y: float, own_x: float, own_y: float, radius: float
 ) -> tuple[int, float, float, float]:
-    """Of a point and its own normal: 1, the normal of its partner's line and the distance from it; 0 where
-    neither of the two has a normal; -1 without a partner."""
-    rows = table[3]
-    q, _ = _nearest(table, cell, x, y, own_x, own_y, radius, MIN_NORMAL_COS)
+    """Of a point, its own normal and row ``q`` of its partner: 1, the normal of the partner's line and the
+    distance from it; 0 where neither of the two has a normal; -1 without a partner within ``radius``."""
     if q < 0:
+        return -1, 0.0, 0.0, 0.0
+    dx, dy = x - rows[q, 0], y - rows[q, 1]
+    if dx * dx + dy * dy >= radius * radius:
         return -1, 0.0, 0.0, 0.0
     nx, ny = rows[q, 2], rows[q, 3]
     if nx == 0.0 and ny == 0.0:
         nx, ny = own_x, own_y
     if nx == 0.0 and ny == 0.0:
         return 0, 0.0, 0.0, 0.0
-    return 1, nx, ny, nx * (x - rows[q, 0]) + ny * (y - rows[q, 1])
+    return 1, nx, ny, nx * dx + ny * dy
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit
 def geman_mcclure(r: float, scale: float) -> float:
     """Weight of a residual."""
     w = scale * scale / (scale * scale + r * r)
     return w * w
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit
 def error_from(prior: FloatArray, pose: FloatArray) -> tuple[float, float, float]:
     """From a pose to a prior near it, in the frame of the pose."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -73,7 +48,7 @@ def error_from(prior: FloatArray, pose: FloatArray) -> tuple[float, float, float
     return c * ex + s * ey, -s * ex + c * ey, wrap_angle(prior[2] - pose[2])
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit
 def step_by(pose: FloatArray, dx: float, dy: float, turn: float) -> bool:
     """Move a pose in its own frame, in place; whether that was next to nothing."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -83,7 +58,7 @@ def step_by(pose: FloatArray, dx: float, dy: float, turn: float) -> bool:
     return abs(dx) + abs(dy) < 2e-4 and abs(turn) < 1e-4
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit
 def _solve3(a: FloatArray, b0: float, b1: float, b2: float) -> tuple[bool, float, float, float]:
     """Solution of the symmetric 3x3 system a x = b by Cramer's rule; False where it is singular."""
     c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
@@ -103,19 +78,19 @@ def _solve3(a: FloatArray, b0: float, b1: float, b2: float) -> tuple[bool, float
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit
 def _normal_equations(
-    table: CellTable,
-    cell: float,
+    rows: FloatArray,
+    partner: IntArray,
     points: FloatArray,
-    normals: FloatArray,
+    placed: FloatArray,
     pose: FloatArray,
     sigma: float,
     scale: float,
     radius: float,
     h: FloatArray,
 ) -> tuple[float, float, float, float, float, int]:
-    """Fill the information ``h`` (3, 3) of all point-to-line residuals at ``pose``.
+    """Fill the information ``h`` (3, 3) of all point-to-line residuals of the points, ``placed`` by ``pose``.
 
     Returns the right-hand side b0, b1, b2 of h d = b, the sums of weighted squares and of weights, and the
     number of pairs without any normal.
@@ -129,10 +104,9 @@ def _normal_equations(
     mute = 0
     for i in range(points.shape[0]):
         px, py = points[i, 0], points[i, 1]
-        x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
-        wnx = c * normals[i, 0] - s * normals[i, 1]
-        wny = s * normals[i, 0] + c * normals[i, 1]
-        pair, nx, ny, r = line_residual(table, cell, x, y, wnx, wny, radius)
+        pair, nx, ny, r = line_residual(
+            rows, partner[i], placed[i, 0], placed[i, 1], placed[i, 2], placed[i, 3], radius
+        )
         if pair <= 0:
             mute += pair == 0
             continue
@@ -184,6 +158,9 @@ def point_to_line(
     pose = guess.copy()
     h = np.zeros((3, 3))
     a = np.zeros((3, 3))
+    index, rows = table
+    placed = np.empty((points.shape[0], 4))
+    partner, seen = nothing_known(points.shape[0])
     weight_sum = 0.0
     mute = 0
     rms = 0.0
@@ -195,8 +172,10 @@ def point_to_line(
         iteration += 1
         # the kernel opens with the search radius so that a far guess is not thrown away as outliers
         scale = max(kernel_sigmas * sigma, 0.25 * radius)
+        transform_points(pose, points, normals, placed)
+        find_partners(index, rows, cell, placed, radius, MIN_NORMAL_COS, partner, seen)
         b0, b1, b2, sum_r2, weight_sum, mute = _normal_equations(
-            table, cell, points, normals, pose, sigma, scale, radius, h
+            rows, partner, points, placed, pose, sigma, scale, radius, h
         )
         rms = math.sqrt(sum_r2 / weight_sum) if weight_sum > 0.0 else 0.0
         data = h
@@ -269,30 +248,38 @@ def point_to_point(
 
     Returns ref_T_src, iterations and whether it converged.
     """
-    points, partners = source[3], table[3]
-    d, m = np.empty((points.shape[0], 2)), np.empty((points.shape[0], 2))
+    index, rows = table
+    source_index, points = source
+    count = points.shape[0]
+    d, m = np.empty((count, 2)), np.empty((count, 2))
+    placed, partner_placed = np.zeros((count, 4)), np.zeros((count, 4))  # without normals
+    partner, seen = nothing_known(count)
+    back, back_seen = nothing_known(count)
     pose = guess.copy()
     radius = radius_start
     iteration = 0
     while iteration < max_iterations:
         iteration += 1
         c, s = math.cos(pose[2]), math.sin(pose[2])
+        for i in range(count):
+            placed[i, 0] = pose[0] + c * points[i, 0] - s * points[i, 1]
+            placed[i, 1] = pose[1] + s * points[i, 0] + c * points[i, 1]
+        find_partners(index, rows, cell, placed, radius, 0.0, partner, seen)
+        if mutual:
+            for i in range(count):
+                if partner[i] >= 0:
+                    rx, ry = rows[partner[i], 0] - pose[0], rows[partner[i], 1] - pose[1]
+                    partner_placed[i, 0], partner_placed[i, 1] = c * rx + s * ry, -s * rx + c * ry
+            find_partners(source_index, points, cell, partner_placed, radius, 0.0, back, back_seen)
         n = 0
-        for i in range(points.shape[0]):
-            x, y = (
-                pose[0] + c * points[i, 0] - s * points[i, 1],
-                pose[1] + s * points[i, 0] + c * points[i, 1],
-            )
-            q, _ = _nearest(table, cell, x, y, 0.0, 0.0, radius, 0.0)
-            if q < 0:
+        for i in range(count):
+            q = partner[i]
+            if q < 0 or math.hypot(rows[q, 0] - placed[i, 0], rows[q, 1] - placed[i, 1]) >= radius:
                 continue
-            if mutual:
-                rx, ry = partners[q, 0] - pose[0], partners[q, 1] - pose[1]
-                back, _ = _nearest(source, cell, c * rx + s * ry, -s * rx + c * ry, 0.0, 0.0, radius, 0.0)
-                if back != i:
-                    continue
+            if mutual and back[i] != i:
+                continue
             d[n, 0], d[n, 1] = points[i, 0], points[i, 1]
-            m[n, 0], m[n, 1] = partners[q, 0], partners[q, 1]
+            m[n, 0], m[n, 1] = rows[q, 0], rows[q, 1]
             n += 1
         if n < 2:
             break

@@ -5,14 +5,15 @@ import math
 import numpy as np
 from numba import njit
 
-from mfslam.kernels.align import error_from, geman_mcclure, line_residual, step_by
+from mfslam.kernels.align import MIN_NORMAL_COS, error_from, geman_mcclure, line_residual, step_by
 from mfslam.kernels.cells import CellTable
 from mfslam.kernels.matrices import open_direction
+from mfslam.kernels.partners import find_partners, nothing_known
 from mfslam.kernels.poses import arc, wrap_angle
-from mfslam.types import FloatArray
+from mfslam.types import FloatArray, IntArray
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _solve_spd(a: FloatArray, b: FloatArray) -> tuple[bool, FloatArray]:
     """Solution of a x = b for a symmetric positive definite ``a`` (N, N), by Cholesky; False where it is not."""
     n = b.shape[0]
@@ -40,7 +41,7 @@ def _solve_spd(a: FloatArray, b: FloatArray) -> tuple[bool, FloatArray]:
     return True, x
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit
 def _drop_direction(h: FloatArray, b: FloatArray, v0: float, v1: float) -> None:
     """Take the direction (v0, v1) of translation out of the equations of pose and twist (6, 6), (6,)."""
     for first in (0, 3):
@@ -58,39 +59,61 @@ def _drop_direction(h: FloatArray, b: FloatArray, v0: float, v1: float) -> None:
             h[k, first + 1] -= along * v1
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _normal_equations(
-    table: CellTable,
-    cell: float,
+@njit
+def _place_moving(
     points: FloatArray,
     normals: FloatArray,
     times: FloatArray,
     pose: FloatArray,
     change: FloatArray,
+    body: FloatArray,
+    placed: FloatArray,
+) -> None:
+    """Fill ``placed`` and ``body`` (M, 4) with points and normals by a pose and a change of the twist, in the
+    reference's frame and in the scan's own."""
+    for i in range(points.shape[0]):
+        x, y, turn = arc(change[0] * times[i], change[1] * times[i], change[2] * times[i])
+        c, s = math.cos(turn), math.sin(turn)
+        body[i, 0] = x + c * points[i, 0] - s * points[i, 1]
+        body[i, 1] = y + s * points[i, 0] + c * points[i, 1]
+        body[i, 2] = c * normals[i, 0] - s * normals[i, 1]
+        body[i, 3] = s * normals[i, 0] + c * normals[i, 1]
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for i in range(points.shape[0]):
+        placed[i, 0] = pose[0] + c * body[i, 0] - s * body[i, 1]
+        placed[i, 1] = pose[1] + s * body[i, 0] + c * body[i, 1]
+        placed[i, 2] = c * body[i, 2] - s * body[i, 3]
+        placed[i, 3] = s * body[i, 2] + c * body[i, 3]
+
+
+@njit
+def _normal_equations(
+    rows: FloatArray,
+    partner: IntArray,
+    body: FloatArray,
+    placed: FloatArray,
+    times: FloatArray,
+    pose: FloatArray,
     sigma: float,
     scale: float,
     radius: float,
     h: FloatArray,
     b: FloatArray,
 ) -> None:
-    """Fill h (6, 6) and b (6,) of all residuals at a pose and a change of the twist."""
+    """Fill h (6, 6) and b (6,) of all residuals of points that `_place_moving` has placed."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     inv_s2 = 1.0 / (sigma * sigma)
     jacobian = np.empty(3)
     h[:], b[:] = 0.0, 0.0
-    for i in range(points.shape[0]):
-        t = times[i]
-        ax, ay, turn = arc(change[0] * t, change[1] * t, change[2] * t)
-        ct, st = math.cos(turn), math.sin(turn)
-        px = ax + ct * points[i, 0] - st * points[i, 1]
-        py = ay + st * points[i, 0] + ct * points[i, 1]
-        ox, oy = ct * normals[i, 0] - st * normals[i, 1], st * normals[i, 0] + ct * normals[i, 1]
-        x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
-        pair, nx, ny, r = line_residual(table, cell, x, y, c * ox - s * oy, s * ox + c * oy, radius)
+    for i in range(placed.shape[0]):
+        pair, nx, ny, r = line_residual(
+            rows, partner[i], placed[i, 0], placed[i, 1], placed[i, 2], placed[i, 3], radius
+        )
         if pair <= 0:
             continue
         jacobian[0], jacobian[1] = c * nx + s * ny, -s * nx + c * ny
-        jacobian[2] = jacobian[1] * px - jacobian[0] * py
+        jacobian[2] = jacobian[1] * body[i, 0] - jacobian[0] * body[i, 1]
+        t = times[i]
         wi = geman_mcclure(r, scale) * inv_s2
         for u in range(3):
             b[u] -= wi * jacobian[u] * r
@@ -136,11 +159,16 @@ def point_to_line_moving(
     """
     pose, change = guess.copy(), np.zeros(3)
     h, b, error = np.empty((6, 6)), np.empty(6), np.empty(6)
+    index, rows = table
+    body, placed = np.empty((points.shape[0], 4)), np.empty((points.shape[0], 4))
+    partner, seen = nothing_known(points.shape[0])
     radius = radius_start
     converged = False
     for iteration in range(max_iterations):
         scale = max(kernel_sigmas * sigma, 0.25 * radius)
-        _normal_equations(table, cell, points, normals, times, pose, change, sigma, scale, radius, h, b)
+        _place_moving(points, normals, times, pose, change, body, placed)
+        find_partners(index, rows, cell, placed, radius, MIN_NORMAL_COS, partner, seen)
+        _normal_equations(rows, partner, body, placed, times, pose, sigma, scale, radius, h, b)
         is_open, v0, v1 = open_direction(h[:3, :3], open_share)
         if is_open:  # what noise feigns along an open direction must not pull against the prior
             _drop_direction(h, b, v0, v1)

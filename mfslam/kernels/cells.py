@@ -7,23 +7,24 @@ from numba import njit
 
 from mfslam.types import FloatArray, IntArray
 
-# key and first slot per table entry, entry count; points sorted by cell
-CellTable = tuple[IntArray, IntArray, IntArray, FloatArray]
+# of every slot: key, first row and the row after the last, (capacity, 3); points sorted by cell, (M, 4)
+CellTable = tuple[IntArray, FloatArray]
+FREE = np.iinfo(np.int64).min  # key of a slot without cell
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit
 def cell_key(ix: int, iy: int) -> int:
     return (ix << 32) ^ (iy & 0xFFFFFFFF)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def find_slot(keys: IntArray, key: int) -> int:
-    """Slot of ``key``, or of the free place where it would go (a free key is the minimum integer)."""
-    mask = keys.shape[0] - 1
+@njit
+def find_slot(index: IntArray, key: int) -> int:
+    """Slot of ``key``, or the free one where it would go."""
+    mask = index.shape[0] - 1
     h = key * -7046029254386353131
     h ^= h >> 29
     slot: int = h & mask
-    while keys[slot] != key and keys[slot] != np.iinfo(np.int64).min:
+    while index[slot, 0] != key and index[slot, 0] != FREE:
         slot = (slot + 1) & mask
     return slot
 
@@ -35,28 +36,28 @@ def build_cells(oriented: FloatArray, cell: float) -> CellTable:
     capacity = 16
     while capacity < 2 * m:
         capacity *= 2
-    keys = np.full(capacity, np.iinfo(np.int64).min, np.int64)
-    counts = np.zeros(capacity, np.int64)
+    index = np.empty((capacity, 3), np.int64)
+    for s in range(capacity):
+        index[s, 0], index[s, 1], index[s, 2] = FREE, 0, 0
     slots = np.empty(m, np.int64)
     for k in range(m):
         key = cell_key(math.floor(oriented[k, 0] / cell), math.floor(oriented[k, 1] / cell))
-        slot = find_slot(keys, key)
-        keys[slot] = key
-        counts[slot] += 1
+        slot = find_slot(index, key)
+        index[slot, 0] = key
+        index[slot, 2] += 1
         slots[k] = slot
-    starts = np.empty(capacity, np.int64)
     total = 0
     for s in range(capacity):
-        starts[s] = total
-        total += counts[s]
-    fill = starts.copy()
+        count = index[s, 2]
+        index[s, 1] = index[s, 2] = total
+        total += count
     rows = np.empty((m, 4))
     for k in range(m):
-        at = fill[slots[k]]
-        fill[slots[k]] += 1
+        at = index[slots[k], 2]
+        index[slots[k], 2] += 1
         for u in range(4):
             rows[at, u] = oriented[k, u]
-    return keys, starts, counts, rows
+    return index, rows
 
 
 @njit(cache=True, nogil=True)
@@ -67,7 +68,7 @@ def smooth_surface(table: CellTable, cell: float, radius: float, spacing: float)
     Nearest-neighbour matching against the raw points of many scans favours the ones whose noise happens
     to lie near the guess; the mean has no such pull.
     """
-    keys, starts, counts, rows = table
+    index, rows = table
     m = rows.shape[0]
     out = np.empty((m, 4))
     taken = np.zeros(m, np.bool_)
@@ -83,11 +84,8 @@ def smooth_surface(table: CellTable, cell: float, radius: float, spacing: float)
         sx = sy = 0.0
         for ix in range(math.floor((x - radius) / cell), math.floor((x + radius) / cell) + 1):
             for iy in range(math.floor((y - radius) / cell), math.floor((y + radius) / cell) + 1):
-                key = cell_key(ix, iy)
-                slot = find_slot(keys, key)
-                if keys[slot] != key:
-                    continue
-                for q in range(starts[slot], starts[slot] + counts[slot]):
+                slot = find_slot(index, cell_key(ix, iy))
+                for q in range(index[slot, 1], index[slot, 2]):  # of a free slot: none
                     dx, dy = rows[q, 0] - x, rows[q, 1] - y
                     d2 = dx * dx + dy * dy
                     if d2 > r2:

@@ -55,7 +55,7 @@ def pyramid(grid: ByteArray, levels: int) -> ByteArray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _four_scores(
     levels: ByteArray, h: int, xs: IntArray, ys: IntArray, ox: int, oy: int, step: int, out: IntArray
 ) -> None:
@@ -166,7 +166,7 @@ def branch_and_bound(
     return pose, found
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _best_first(scores: IntArray, perfect: int, least: float) -> IntArray:
     """Flat indices of the scores above ``least``, the best first: sorted into 256 bins, which is near enough
     for an order to search in."""

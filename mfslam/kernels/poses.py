@@ -8,12 +8,12 @@ from numba import njit
 from mfslam.types import FloatArray
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit
 def wrap_angle(angle: float) -> float:
     return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit
 def arc(vx: float, vy: float, w: float) -> tuple[float, float, float]:
     """SE(2) exponential: where a twist held for unit time leads."""
     if abs(w) < 1e-9:

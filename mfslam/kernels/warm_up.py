@@ -41,14 +41,14 @@ def compile_once(tell: Callable[[str], None]) -> float:
 
 
 def _kernels() -> list[Any]:
-    """All compiled functions of this room that are called from outside of compiled code."""
+    """All compiled functions of this room that Python calls: those that release the GIL."""
     modules = (import_module(f"{__package__}.{found.name}") for found in iter_modules(kernels.__path__))
     return [
         item
         for module in modules
         for name, item in vars(module).items()
         if not name.startswith("_") and hasattr(item, "py_func") and item.__module__ == module.__name__
-        and not item.targetoptions.get("inline")
+        and item.targetoptions.get("nogil")
     ]  # fmt: skip
 
 

@@ -155,8 +155,8 @@ def test_point_to_point_partners_are_mutual_or_the_nearest():
     assert converged
     np.testing.assert_allclose(mutual, [0.0, -0.01, 0.0], atol=1e-9)
     nearest, _, _ = align.point_to_point(reference, source, CELL_M, np.zeros(3), 0.5, 0.5, 50, False)
-    partners = reference[3][[0, 0, 1], :2]
-    np.testing.assert_allclose(nearest, align.rigid_fit(source[3][:, :2], partners), atol=1e-9)
+    partners = reference[1][[0, 0, 1], :2]
+    np.testing.assert_allclose(nearest, align.rigid_fit(source[1][:, :2], partners), atol=1e-9)
 
 
 def test_point_to_point_with_one_pair_says_that_it_failed():
