@@ -126,3 +126,39 @@ class Sensor(Protocol):
         """Messages as they come, stamped on the host's clock, until ``stopped``. An unplugged sensor is waited
         for. Raises MfslamError where it cannot be had at all, at the start."""
         ...
+
+
+class Feed(Protocol):
+    """Messages from elsewhere, as they come: what a live engine reads. A context manager; leaving it ends the
+    acquisition and waits for its recording to be whole.
+
+    ``findings`` is complete after the end. ``health`` holds the latest figures (`SensorHealth.as_json`) of
+    every sensor, and is renewed while messages are polled.
+    """
+
+    findings: Findings
+    health: Any
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    @property
+    def over(self) -> bool:
+        """Nothing will come any more."""
+        ...
+
+    def poll(self, timeout_s: float) -> Message | None:
+        """The next message in order of arrival; None if there is none in time, or it is over. Raises MfslamError
+        in one line when a sensor cannot be had or the acquisition has died."""
+        ...
+
+    def __iter__(self) -> Iterator[Message]:
+        """Messages until it is over."""
+        ...
+
+    def stop(self) -> None:
+        """Ask for the end; what is on its way still comes."""
+        ...

@@ -14,8 +14,11 @@ from typing import Any
 
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
+from rosbags.rosbag2 import ReaderError
 from rosbags.typesys import Stores, get_typestore
 
+from drivers.salvage import SalvagedBag, salvage
+from drivers.salvage.sqlite import has_journal
 from mfslam.types import Findings, MfslamError
 
 
@@ -28,14 +31,30 @@ class BagReader:
         self._stack = ExitStack()
         self.last_bag_time_ns = 0
         with self._told_in_one_line():
-            files = self._files()
+            self._reader = self._opened(self._files())
+            self.connections: list[Connection] = list(self._reader.connections)
+            self.start_ns, self.end_ns = (
+                (self._reader.start_time, self._reader.end_time) if self._reader.message_count else (0, 0)
+            )
+
+    def _opened(self, files: list[Path]) -> AnyReader | SalvagedBag:
+        """By its index; where that does not do, by whatever is whole in it."""
+        try:
+            if any(file.suffix == ".db3" and has_journal(file.resolve()) for file in files):
+                raise ReaderError("messages lie in a journal beside it")
             # bags that were written without message definitions hold standard messages
             reader = AnyReader(files, default_typestore=get_typestore(Stores.LATEST))
-            self._reader = self._stack.enter_context(reader)
-            self.connections: list[Connection] = list(reader.connections)
-            self.start_ns, self.end_ns = (
-                (reader.start_time, reader.end_time) if reader.message_count else (0, 0)
+            return self._stack.enter_context(reader)
+        except Exception:
+            found = salvage(
+                [path for file in files for path in ([file] if file.is_file() else _stored(file))]
             )
+            if found is None:
+                raise
+            self._findings.add(
+                "salvaged", f"salvaged {found.message_count} messages: {found.lost}", self.path.name
+            )
+            return found
 
     def close(self) -> None:
         self._stack.close()
@@ -88,7 +107,7 @@ class BagReader:
             return [self._with_suffix(self.path)]
         if (self.path / "metadata.yaml").is_file():
             return [self.path]
-        bare = sorted(p for p in self.path.iterdir() if p.suffix in (".mcap", ".db3"))
+        bare = _stored(self.path)
         self._findings.add(
             "no-metadata", "the bag's folder has no metadata.yaml: its files are read as they are"
         )
@@ -113,9 +132,13 @@ class BagReader:
         except Exception as error:
             self._stack.close()
             raise MfslamError(
-                f"{self.path}: this bag cannot be opened: {_first_line(error)} (an interrupted recording? "
-                "try `rosbag reindex`, `ros2 bag reindex` or `mcap recover`)"
+                f"{self.path}: this bag cannot be opened, and no message could be salvaged: {_first_line(error)}"
             ) from None
+
+
+def _stored(folder: Path) -> list[Path]:
+    """The recordings of a ROS 2 bag's folder."""
+    return sorted(path for path in folder.iterdir() if path.suffix in (".mcap", ".db3"))
 
 
 def _first_line(error: BaseException) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import socket
@@ -142,4 +143,10 @@ def tcp_address(address: str) -> tuple[str, int] | None:
 def _reason(error: BaseException) -> str:
     """pyserial wraps the system's error into its own, twice."""
     code = getattr(error, "errno", None)
-    return os.strerror(code).lower() if isinstance(code, int) else str(error)
+    if not isinstance(code, int):
+        return str(error)
+    hints = {
+        errno.EACCES: " (your user must be in the port's group, often dialout)",
+        errno.EAGAIN: " (another program has it open)",
+    }
+    return os.strerror(code).lower() + hints.get(code, "")

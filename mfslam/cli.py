@@ -76,6 +76,19 @@ def build_parser() -> argparse.ArgumentParser:
 
     _add_simulate(commands)
 
+    command = commands.add_parser("record", help="record live sensors, for `mfslam map` and ROS 2 tools")
+    command.add_argument("--lidar", metavar="SENSOR", help="urg:/dev/ttyACM0, urg:HOST:PORT or sim:WORLD")
+    command.add_argument(
+        "--wheels",
+        metavar="BOARD",
+        help="board:/dev/ttyUSB0, arduino:/dev/ttyUSB0, or sim beside a simulated lidar",
+    )
+    command.add_argument("-o", "--output", metavar="OUT.mcap", type=Path, required=True, help="a new file")
+    command.add_argument("--duration", metavar="S", type=float, help="stop after so long, s (on Ctrl-C)")
+    _add_settings(command)
+    command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")
+    command.set_defaults(run=_run_record)
+
     command = commands.add_parser("info", help="tell what a log holds and what is odd in it")
     command.add_argument("log", metavar="LOG", type=Path)
     _add_topics(command)
@@ -217,6 +230,12 @@ def _run_demo(args: argparse.Namespace) -> int:
 
 def _run_simulate(args: argparse.Namespace) -> int:
     from mfslam.commands.simulate import run
+
+    return run(args)
+
+
+def _run_record(args: argparse.Namespace) -> int:
+    from mfslam.commands.record import run
 
     return run(args)
 

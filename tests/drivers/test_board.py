@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -197,3 +199,9 @@ def test_something_else_on_the_port_is_told() -> None:
     sensor, line = rig(board(), ArduinoBoard)
     with pytest.raises(SensorTrouble, match="no encoder counts"):
         first(sensor.messages(until(line, 1e6)), 1)
+
+
+def test_the_example_of_the_documentation() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "sensors.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"Example: `(.+?)`", text)
+    assert parse_line(example.encode()) == Reading(1_000_000, 120, -3)

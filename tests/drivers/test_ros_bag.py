@@ -312,23 +312,3 @@ def test_no_scans(tmp_path):
         read(tmp_path, odometry(3))
     with pytest.raises(NoScans, match="none has two beams or more"):
         read(tmp_path, [("/scan", SCAN, MAKE.scan(T0 + k, [1.0]), T0 + k) for k in range(3)])
-
-
-@pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap"])
-@pytest.mark.parametrize("keep", [0.2, 0.6, 0.97])
-def test_interrupted_recording_is_one_clear_line(tmp_path, kind, keep):
-    make = Make("ros1" if kind == "ros1" else "ros2")
-    path = write_bag(tmp_path / ("log.bag" if kind == "ros1" else "log"), kind, scans(200, make))
-    (file,) = [path] if path.is_file() else [p for p in path.iterdir() if p.suffix in (".db3", ".mcap")]
-    file.write_bytes(file.read_bytes()[: int(file.stat().st_size * keep)])
-    try:
-        with open_log(path, Config()) as log:
-            messages = list(log)
-        assert messages and "file-damaged" in log.findings
-    except MfslamError as error:
-        assert str(path) in str(error) and "\n" not in str(error)
-
-
-def test_old_recording_whose_index_is_refused(shared_data):
-    with pytest.raises(MfslamError, match="this bag cannot be opened"):
-        open_log(shared_data / "rosbags" / "scan_tools_laser_scan_matcher_demo.bag", Config())

@@ -1,0 +1,129 @@
+"""Acquisition and recording in a process of their own; here is the end that whoever maps holds."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from drivers.acquisition.messages import Ended, Health, Unpacker
+from drivers.acquisition.sources import Sources
+from mfslam.config import Config
+from mfslam.types import Findings, Message, MfslamError
+
+LOOK_UP_S = 0.5
+LEAVE_S = 15.0  # a full disk takes its time
+
+
+@dataclass(frozen=True)
+class Job:
+    """What the process is told to do."""
+
+    sources: Sources
+    config: Config
+    output: Path | None
+
+
+class AcquisitionFeed:
+    """A `drivers.base.Feed` from live sensors.
+
+    The process records whatever comes, whether or not anyone reads here. Killed, it leaves a recording that
+    misses at most the last second. When we are killed, it finishes the recording and ends.
+    """
+
+    def __init__(self, sources: Sources, config: Config, output: Path | None = None) -> None:
+        self.findings = Findings()
+        self.health = Health([])
+        self.output = output
+        self._unpacker = Unpacker()
+        self._over = False
+        ours, theirs = socket.socketpair()
+        # not multiprocessing's: it would import the caller's main module again, and with it what that imports
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "drivers.acquisition", str(theirs.fileno())],
+            pass_fds=(theirs.fileno(),),
+            start_new_session=True,  # Ctrl-C is ours to answer
+        )
+        theirs.close()
+        self._line = Connection(ours.detach())
+        self._line.send(Job(sources, config, output))
+
+    def poll(self, timeout_s: float) -> Message | None:
+        """See `drivers.base.Feed`."""
+        if self._over or not self._line.poll(timeout_s):
+            return None
+        try:
+            item = self._unpacker.unpack(self._line.recv())
+        except (EOFError, ConnectionError, OSError):
+            self._over = True
+            raise MfslamError(self._obituary()) from None
+        if isinstance(item, Health):
+            self.health = item
+            return None
+        if isinstance(item, Ended):
+            self._over = True
+            for code, text, where, count in item.findings:
+                self.findings.add(code, text, where, count)
+            if item.error is not None:
+                raise MfslamError(item.error)
+            return None
+        return item  # type: ignore[no-any-return]
+
+    @property
+    def over(self) -> bool:
+        return self._over
+
+    def __iter__(self) -> Iterator[Message]:
+        while not self._over:
+            message = self.poll(LOOK_UP_S)
+            if message is not None:
+                yield message
+
+    def stop(self) -> None:
+        """Ask for the end; what is still on its way can be read until `over`."""
+        if not self._over:
+            try:
+                self._line.send("stop")
+            except OSError:
+                return
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+        try:
+            for _ in self:
+                continue
+        except MfslamError as trouble:
+            if kind is None:
+                self.findings.add("acquisition-failed", str(trouble))
+        finally:
+            self._line.close()
+            try:
+                self.process.wait(LEAVE_S)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+
+    def _obituary(self) -> str:
+        code = self.process.wait()
+        how = f"was killed ({signal.Signals(-code).name})" if code < 0 else f"ended with status {code}"
+        kept = "" if self.output is None else f"; {self.output} holds all but the last second"
+        return f"the acquisition process {how}{kept}"
+
+
+def connection_from(fd: int) -> Connection:
+    """The child's end of the line."""
+    os.set_inheritable(fd, False)
+    return Connection(fd)

@@ -1,0 +1,103 @@
+"""What ``--lidar`` and ``--wheels`` name, and the sensors that stand behind it."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from drivers.base import Sensor
+from drivers.host_clock import HostClock
+from drivers.transport import tcp_address
+from mfslam.config import Config
+from mfslam.types import MfslamError
+
+LIDARS = "urg:DEVICE, urg:HOST:PORT, lds:MODEL:DEVICE, sim:WORLD, sim:WORLD@utm-30lx"
+WHEELS = "board:DEVICE, arduino:DEVICE, sim (with a simulated lidar), sim:arduino"
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Sensors as the user names them. Raises MfslamError for names that say nothing."""
+
+    lidar: str | None = None
+    wheels: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.lidar is None and self.wheels is None:
+            raise MfslamError("expected --lidar or --wheels, or both")
+        for option, text, known, kinds in (
+            ("--lidar", self.lidar, LIDARS, ("urg", "lds", "sim")),
+            ("--wheels", self.wheels, WHEELS, ("board", "arduino", "sim")),
+        ):
+            kind, _, rest = (text or "").partition(":")
+            if text is not None and (
+                kind not in kinds or (not rest and (option, kind) != ("--wheels", "sim"))
+            ):
+                raise MfslamError(f"{option} {text}: expected one of {known}")
+        if self.lidar is not None and self.lidar.startswith("urg:"):
+            tcp_address(self.lidar[4:])
+        if self._simulated_wheels and not self._simulated_lidar:
+            raise MfslamError(
+                f"--wheels {self.wheels}: needs the world of a simulated lidar: --lidar sim:WORLD"
+            )
+
+    @property
+    def _simulated_lidar(self) -> bool:
+        return self.lidar is not None and self.lidar.startswith("sim:")
+
+    @property
+    def _simulated_wheels(self) -> bool:
+        return self.wheels is not None and self.wheels.split(":")[0] == "sim"
+
+    def open(self, config: Config, clock: HostClock, stack: ExitStack) -> list[Sensor]:
+        """The sensors; what plays simulated ones ends with ``stack``. Raises MfslamError."""
+        lidar, wheels = self.lidar, self.wheels
+        if self._simulated_lidar:
+            lidar, wheels = self._simulate(config, stack)
+        out: list[Sensor] = []
+        if wheels is not None:
+            out.append(_wheels(wheels, config, clock))
+        if lidar is not None:
+            out.append(_lidar(lidar, config, clock))
+        return out
+
+    def _simulate(self, config: Config, stack: ExitStack) -> tuple[str, str | None]:
+        """Ports of simulated sensors, named as real ones are."""
+        from drivers.simulator.devices.serve import Cast, SimulatedSensors
+
+        world, _, laser = (self.lidar or "").removeprefix("sim:").partition("@")
+        firmware = (self.wheels or "").removeprefix("sim").removeprefix(":") or "lines"
+        if firmware not in ("lines", "arduino"):
+            raise MfslamError(f"--wheels {self.wheels}: expected sim or sim:arduino")
+        sensor = config.sensor
+        mount = (sensor.mount_x_m or 0.0, sensor.mount_y_m or 0.0, math.radians(sensor.mount_yaw_deg or 0.0))
+        cast = Cast(
+            world,
+            laser or "urg-04lx",
+            ("arduino" if firmware == "arduino" else "lines") if self._simulated_wheels else None,
+            mount=mount,
+        )
+        played = stack.enter_context(SimulatedSensors(cast))
+        wheels = f"{'arduino' if firmware == 'arduino' else 'board'}:{played.board}"
+        return f"urg:{played.lidar}", wheels if self._simulated_wheels else self.wheels
+
+
+def _lidar(text: str, config: Config, clock: HostClock) -> Sensor:
+    kind, _, address = text.partition(":")
+    if kind == "lds":
+        raise MfslamError(f"--lidar {text}: not available yet")
+    from drivers.scip.sensor import UrgSensor
+
+    return UrgSensor(address, config, clock=clock)
+
+
+def _wheels(text: str, config: Config, clock: HostClock) -> Sensor:
+    kind, _, address = text.partition(":")
+    if kind == "arduino":
+        from drivers.board.arduino import ArduinoBoard
+
+        return ArduinoBoard(address, config, clock=clock)
+    from drivers.board.streaming import StreamingBoard
+
+    return StreamingBoard(address, config, clock=clock)
