@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import select
@@ -96,6 +97,11 @@ class SerialTransport(_FileTransport):
 
     def baud(self) -> int | None:
         return int(self._port.baudrate)
+
+    def release_dtr(self) -> None:
+        """Clear the line "data terminal ready", where the port has one."""
+        with contextlib.suppress(OSError):
+            self._port.dtr = False
 
     def close(self) -> None:
         self._port.close()

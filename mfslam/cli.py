@@ -77,7 +77,11 @@ def build_parser() -> argparse.ArgumentParser:
     _add_simulate(commands)
 
     command = commands.add_parser("record", help="record live sensors, for `mfslam map` and ROS 2 tools")
-    command.add_argument("--lidar", metavar="SENSOR", help="urg:/dev/ttyACM0, urg:HOST:PORT or sim:WORLD")
+    command.add_argument(
+        "--lidar",
+        metavar="SENSOR",
+        help="urg:/dev/ttyACM0, urg:HOST:PORT, lds:MODEL:/dev/ttyUSB0 or sim:WORLD",
+    )
     command.add_argument(
         "--wheels",
         metavar="BOARD",

@@ -366,6 +366,12 @@ class BoardConfig(_Stage):
     rate_hz: float = Field(50.0, gt=0, le=500, description="Readings asked of an arduino, Hz.")
 
 
+class LdsConfig(_Stage):
+    """A live laser of another maker (lds2d)."""
+
+    clockwise: bool = Field(True, description="It turns clockwise as seen from above, as most of them do.")
+
+
 class Config(_Stage):
     """All stages."""
 
@@ -382,3 +388,4 @@ class Config(_Stage):
     map: MapConfig = MapConfig()
     scip: ScipConfig = ScipConfig()
     board: BoardConfig = BoardConfig()
+    lds: LdsConfig = LdsConfig()

@@ -86,7 +86,14 @@ class Sources:
 def _lidar(text: str, config: Config, clock: HostClock) -> Sensor:
     kind, _, address = text.partition(":")
     if kind == "lds":
-        raise MfslamError(f"--lidar {text}: not available yet")
+        from drivers.lds_sensor import LdsSensor
+
+        model, colon, device = address.partition(":")
+        if not colon:
+            raise MfslamError(
+                f"--lidar {text}: expected lds:MODEL:DEVICE; models: {', '.join(LdsSensor.models())}"
+            )
+        return LdsSensor(model, device, config, clock=clock)
     from drivers.scip.sensor import UrgSensor
 
     return UrgSensor(address, config, clock=clock)
