@@ -29,7 +29,8 @@ def beam_times_s(laser: Laser) -> FloatArray:
 def deskew(scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: float = 0.0) -> DeskewedScan:
     """Points of ``scan`` in the body frame at its reference instant.
 
-    ``body_twist`` (3,): m/s, m/s, rad/s, taken as constant through the scan. ``spacing_m``: points in
+    ``body_twist`` (3,): m/s, m/s, rad/s, taken as constant through the scan; or (6,): that in the middle of the scan,
+    followed by its change per second. ``spacing_m``: points in
     beam order are thinned to this spacing after their normals were estimated.
     """
     laser = scan.laser

@@ -240,10 +240,10 @@ class Slam:
         config = self.config
         world_T_keyframe = self.graph.poses()
         with self.clock.time("second pass"):
-            twists = self._twists(self._scan_poses(world_T_keyframe))
+            motions = self._motions(self._scan_poses(world_T_keyframe))
             for keyframe in self.keyframes:
                 n = keyframe.scan_index
-                keyframe.cloud = deskew(self.scans[n], twists[n], config.deskew, config.icp.point_spacing_m)
+                keyframe.cloud = deskew(self.scans[n], motions[n], config.deskew, config.icp.point_spacing_m)
             pairs = refine.neighbours(world_T_keyframe, config.refine)
             sigma_m = self.scans[0].laser.range_sigma_m
             matched = refine.match_neighbours(
@@ -260,28 +260,29 @@ class Slam:
         torn = np.array([self.steps[n].blind_s > 0.0 for n in index], dtype=np.bool_)
         return trajectory.spread_corrections(local, index, world_T_keyframe, torn)
 
-    def _twists(self, world_T_reference: FloatArray) -> FloatArray:
-        """(S, 3) motion through every scan along a trajectory."""
+    def _motions(self, world_T_reference: FloatArray) -> FloatArray:
+        """(S, 6) twist in the middle of every scan and its change per second, along a trajectory."""
         times = np.array(self._motion.times_s)
         if len(times) < 2:
-            return np.zeros((len(times), 3))
+            return np.zeros((len(times), 6))
         offsets = np.array([(s.laser.offsets_s.min(), s.laser.offsets_s.max()) for s in self.scans])
         reference = np.array([reference_offset_s(s.laser) for s in self.scans])
         window_s = max(2.0 * float(np.median(np.diff(times))), 2.0 * self._motion.odometry.backwards_s, 0.05)
-        starts, ends = times + offsets[:, 0] - reference, times + offsets[:, 1] - reference
-        return trajectory.twists_over(times, world_T_reference, starts, ends, window_s)
+        return trajectory.motions_at(
+            times, world_T_reference, times + offsets.mean(axis=1) - reference, window_s
+        )
 
     def _solution(self, edges: list[Edge], localise: bool = False) -> Solution:
         world_T_reference = self._scan_poses(self.graph.poses())
-        twists = self._twists(world_T_reference)
+        motions = self._motions(world_T_reference)
         if localise and len(self.keyframes) > 1:
             pairs = refine.neighbours(self.graph.poses(), self.config.refine)
             world_T_reference = refine.localise_between(
-                self.scans, twists, world_T_reference, self.keyframes, pairs, self.config
+                self.scans, motions, world_T_reference, self.keyframes, pairs, self.config
             )
-            twists = self._twists(world_T_reference)
+            motions = self._motions(world_T_reference)
         offsets = np.array([reference_offset_s(s.laser) for s in self.scans])
-        reference_T_stamp = self._to_stamps(world_T_reference, twists, offsets)
+        reference_T_stamp = self._to_stamps(world_T_reference, motions[:, :3], offsets)
         keyframes = np.array([k.scan_index for k in self.keyframes], dtype=np.int64)
         world_T_body = se2.compose(world_T_reference, reference_T_stamp)
         if offsets.any():
@@ -290,7 +291,7 @@ class Slam:
             stamps_ns=np.array([s.stamp_ns for s in self.scans], dtype=np.int64),
             world_T_body=world_T_body,
             world_T_reference=world_T_reference,
-            twists=twists,
+            twists=np.ascontiguousarray(motions[:, :3]),
             keyframes=keyframes,
             edges=edges,
             covariances=scan_covariances(world_T_body, keyframes, edges),

@@ -163,3 +163,17 @@ def test_a_scan_without_any_return_is_empty():
     assert deskew(Scan(5, np.array([2.0], np.float32), one), FAST_TURN, POSE).points_m.tolist() == [
         [2.0, 0.0]
     ]
+
+
+def test_a_turn_that_grows_through_the_scan_is_followed_exactly():
+    """Twist in the middle of the scan and its change per second: beam t is seen from heading w0 t + a t^2 / 2."""
+    model = dataclasses.replace(rooms.laser(turn_s=0.1), body_T_laser=np.zeros(3))
+    ranges = (np.arange(len(model.angles_rad)) % 64 + 8) / 16.0
+    times = model.offsets_s
+    rate, change = -1.0, 4.0  # at the first beam
+    in_the_middle = rate + change * 0.5 * (times[0] + times[-1])
+    motion = np.array([0.0, 0.0, in_the_middle, 0.0, 0.0, change])
+    cloud = deskew(Scan(0, ranges.astype(np.float32), model), motion, POSE)
+    bearings = (model.angles_rad + rate * times + 0.5 * change * times**2)[cloud.beams]
+    expected = ranges[cloud.beams, None] * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
+    np.testing.assert_allclose(cloud.points_m, expected, atol=1e-9)
