@@ -43,7 +43,9 @@ class PoseGraph:
         self._removed: set[int] = set()
         self._refused: set[int] = set()  # loops that a dispute took out
         self._judged = 0  # loops at the last dispute
+        self._loops: list[int] = []  # numbers of all loops that ever were
         self._is_contradicted = False  # by a loop that waits
+        self._has_moved = False  # since the loops were last asked whether they are satisfied
 
     def __len__(self) -> int:
         return self._count
@@ -74,9 +76,10 @@ class PoseGraph:
         self.edges.append(edge)
         self._pending_factors.add(self._factor(edge, robust=edge.kind == "loop"))
         self._pending_edges.append(number)
-        if edge.kind == "loop" and not self._is_contradicted:
+        if edge.kind == "loop":
+            self._loops.append(number)
             x, y, theta = self._error(edge)
-            self._is_contradicted = math.hypot(x, y) > NEAR_M or abs(theta) > NEAR_RAD
+            self._is_contradicted |= math.hypot(x, y) > NEAR_M or abs(theta) > NEAR_RAD
         return number
 
     def remove_edges(self, numbers: list[int]) -> None:
@@ -158,13 +161,18 @@ class PoseGraph:
         When a loop is violated, the robust batch solve decides between all that were ever found. Not for each
         new one: a fair share of them has to be new since the last time.
         """
-        loops = [n for n, e in enumerate(self.edges) if e.kind == "loop" and n not in self._removed]
-        if len(loops) - self._judged < max(DISPUTE_LEAST, DISPUTE_SHARE * len(loops)):
+        count = len(self._loops)
+        if count - self._judged < max(DISPUTE_LEAST, DISPUTE_SHARE * count):
             return [], []
-        self._flush()
-        if not any(self._is_violated(self.edges[n]) for n in loops if n not in self._refused):
+        if self._is_contradicted:
+            self._flush()
+        if not self._has_moved:
             return [], []
-        self._judged = len(loops)
+        self._has_moved = False
+        out_of_use = self._removed | self._refused
+        if not any(self._is_violated(self.edges[n]) for n in self._loops if n not in out_of_use):
+            return [], []
+        self._judged = count
         numbers = [n for n in range(len(self.edges)) if n not in self._removed]
         values, weights = self._decide([self.edges[n] for n in numbers])
         refused = {n for n, w in zip(numbers, weights, strict=True) if w < 0.5}
@@ -284,6 +292,7 @@ class PoseGraph:
         self._read_back()
 
     def _read_back(self) -> None:
+        self._has_moved = True
         self._poses[:] = gtsam.utilities.extractPose2(self._isam.calculateEstimate())
 
     def _rebuild(self) -> None:
