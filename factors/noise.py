@@ -31,11 +31,14 @@ def noise_from_information(information: FloatArray) -> gtsam.noiseModel.Gaussian
 
 
 def robust_noise(noise: gtsam.noiseModel.Base, kernel: str, scale: float) -> gtsam.noiseModel.Robust:
-    """``noise`` under a robust kernel: huber, cauchy or geman-mcclure, scale in sigmas."""
+    """``noise`` under a robust kernel: huber, cauchy, geman-mcclure, dcs or tls, scale in sigmas."""
     estimator = gtsam.noiseModel.mEstimator
     kernels: dict[str, Any] = {
         "huber": estimator.Huber,
         "cauchy": estimator.Cauchy,
         "geman-mcclure": estimator.GemanMcClure,
+        "dcs": estimator.DCS,
+        "tls": estimator.TruncatedLeastSquares,
     }
-    return gtsam.noiseModel.Robust.Create(kernels[kernel].Create(scale), noise)
+    parameter = scale**2 if kernel == "dcs" else scale  # that of dcs is a squared one
+    return gtsam.noiseModel.Robust.Create(kernels[kernel].Create(parameter), noise)

@@ -100,6 +100,8 @@ def build_parser() -> argparse.ArgumentParser:
     command.add_argument("--json", metavar="FILE", type=Path, help="write it as JSON too")
     command.set_defaults(run=_run_info)
 
+    _add_optimize(commands)
+
     command = commands.add_parser("config", help="print every setting with its unit and meaning, as YAML")
     _add_settings(command)
     command.set_defaults(run=_run_config)
@@ -176,6 +178,40 @@ def _add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser])
     command.set_defaults(run=_run_simulate)
 
 
+def _add_optimize(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    command = commands.add_parser(
+        "optimize",
+        help="optimise a pose graph of any program, and say how good it is",
+        description="Optimise a planar pose graph (g2o or TORO) and say whether the result is the global optimum.",
+    )
+    command.add_argument("graph", metavar="GRAPH", type=Path, help="g2o or TORO file")
+    command.add_argument("-o", "--output", metavar="OUT.g2o", type=Path, help="write the solved graph")
+    command.add_argument("--json", metavar="FILE", type=Path, help="write what was found as JSON")
+    command.add_argument(
+        "--start",
+        choices=("auto", "file", "chordal"),
+        default="auto",
+        help="poses to begin from: auto takes those of lower chi2 (default)",
+    )
+    how = command.add_mutually_exclusive_group()
+    how.add_argument(
+        "--robust",
+        choices=("none", "gnc", "huber", "cauchy", "geman-mcclure", "dcs", "tls"),
+        default="none",
+        help="against false loops; edges between neighbours in the file are trusted (none)",
+    )
+    how.add_argument("--incremental", action="store_true", help="one pose at a time by iSAM2, with times")
+    command.add_argument("--kernel-sigmas", metavar="S", type=float, help="scale of the robust kernel")
+    command.add_argument(
+        "--information-order",
+        choices=("g2o", "toro"),
+        help="of the six numbers of an information matrix, where tags mislead",
+    )
+    command.add_argument("--no-certificate", action="store_true", help="do not look for a lower bound")
+    command.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
+    command.set_defaults(run=_run_optimize)
+
+
 def _add_settings(command: argparse.ArgumentParser) -> None:
     group = command.add_argument_group("settings (see `mfslam config`; later ones win)")
     group.add_argument(
@@ -246,6 +282,12 @@ def _run_record(args: argparse.Namespace) -> int:
 
 def _run_info(args: argparse.Namespace) -> int:
     from mfslam.commands.info import run
+
+    return run(args)
+
+
+def _run_optimize(args: argparse.Namespace) -> int:
+    from mfslam.commands.optimize import run
 
     return run(args)
 

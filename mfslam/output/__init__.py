@@ -2,19 +2,18 @@
 
 from mfslam.output.covariance import read_covariances
 from mfslam.output.folder import prepare_folder, run_folder, write_run
-from mfslam.output.g2o import GraphFile, read_g2o
+from mfslam.output.graph_reader import read_graph
 from mfslam.output.maps import read_map
 from mfslam.output.staging import check_writable, write_atomically
 from mfslam.output.summary import json_text, summarise
 from mfslam.output.tum import read_tum
 
 __all__ = [
-    "GraphFile",
     "check_writable",
     "json_text",
     "prepare_folder",
     "read_covariances",
-    "read_g2o",
+    "read_graph",
     "read_map",
     "read_tum",
     "run_folder",

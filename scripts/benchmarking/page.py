@@ -11,7 +11,7 @@ from benchmarking.tables import Table
 from mfslam.output import write_atomically
 from mfslam.types import MfslamError
 
-BEGIN, END = "<!-- benchmark: begin -->", "<!-- benchmark: end -->"
+DEFAULT_MARKER = "benchmark"
 
 
 def as_text(table: Table) -> str:
@@ -43,20 +43,25 @@ def machine() -> str:
     return f"{model}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
 
 
-def write_markdown(path: Path, tables: list[tuple[str, Table]], command: str) -> None:
-    """Replace the part of ``path`` between the markers, or start the page."""
+def write_markdown(
+    path: Path, tables: list[tuple[str, Table]], command: str, marker: str = DEFAULT_MARKER
+) -> None:
+    """Replace the part of ``path`` between the markers of that name, or start the page."""
+    opening, closing = f"<!-- {marker}: begin -->", f"<!-- {marker}: end -->"
     section = [
-        BEGIN,
+        opening,
         "",
         f"Measured on {datetime.date.today().isoformat()}, {machine()}, with `{command}`.",
         "",
     ]
     for title, table in tables:
         section += [f"## {title}", "", as_markdown(table), ""]
-    text = path.read_text(encoding="utf-8") if path.is_file() else f"# Benchmarks\n\n{BEGIN}\n{END}\n"
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
+    text = path.read_text(encoding="utf-8") if path.is_file() else f"# Benchmarks\n\n{opening}\n{closing}\n"
+    before, begin, rest = text.partition(opening)
+    _, end, after = rest.partition(closing)
     if not begin or not end:
-        raise MfslamError(f"{path}: expected the markers {BEGIN} and {END}; put them where the tables belong")
+        raise MfslamError(
+            f"{path}: expected the markers {opening} and {closing}; put them where the tables belong"
+        )
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, (before + "\n".join(section) + END + after).encode())
+    write_atomically(path, (before + "\n".join(section) + closing + after).encode())

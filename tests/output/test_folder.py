@@ -14,7 +14,7 @@ import pytest
 from plyfile import PlyData
 
 from mfslam.config import Config
-from mfslam.output import GraphFile, ply, prepare_folder, read_g2o, read_map, read_tum, write_run
+from mfslam.output import ply, prepare_folder, read_graph, read_map, read_tum, write_run
 from mfslam.output.summary import loops_in_use
 from mfslam.settings import load
 from mfslam.types import Edge, Findings, MfslamError, OccupancyGrid, PointCloud, RunResult
@@ -47,7 +47,7 @@ def test_what_was_written_reads_back(result: RunResult, tmp_path: Path) -> None:
     stamps_ns, poses = read_tum(folder / "trajectory.tum")
     np.testing.assert_array_equal(stamps_ns, result.stamps_ns)  # log order, also where stamps go backwards
     np.testing.assert_allclose(poses, result.world_T_body, atol=1e-9)
-    graph: GraphFile = read_g2o(folder / "graph.g2o")
+    graph = read_graph(folder / "graph.g2o")
     np.testing.assert_array_equal(graph.world_T_pose, result.world_T_body[result.keyframes])
     grid = read_map(folder / "map.yaml")
     np.testing.assert_array_equal(grid.occupancy, result.grid.occupancy)
@@ -184,7 +184,7 @@ def test_the_smallest_run_is_written(tmp_path: Path) -> None:
         np.zeros((1, 3, 3)),
     )
     folder = written(one, tmp_path)
-    assert read_g2o(folder / "graph.g2o").fixed == {0}
+    assert read_graph(folder / "graph.g2o").fixed == {0}
     assert "nothing to show" in (folder / "report.html").read_text()
 
 
@@ -200,11 +200,11 @@ def test_rejected_edges_stay_out_of_the_graph(result: RunResult, tmp_path: Path)
     rejected = [edge for edge in result.edges if edge.weight == 0]
     text = (folder / "graph.g2o").read_text()
     assert text.count("# rejected: EDGE_SE2") == len(rejected) == 1
-    assert len(read_g2o(folder / "graph.g2o").i) == len(result.edges) - 1
+    assert len(read_graph(folder / "graph.g2o").i) == len(result.edges) - 1
 
 
 def test_weights_scale_the_information(result: RunResult, tmp_path: Path) -> None:
     edge = result.edges[1]
     result.edges[1] = Edge(edge.kind, edge.i, edge.j, edge.i_T_j, edge.information, weight=0.25)
-    graph = read_g2o(written(result, tmp_path) / "graph.g2o")
+    graph = read_graph(written(result, tmp_path) / "graph.g2o")
     np.testing.assert_array_equal(graph.information[1], 0.25 * edge.information)
