@@ -81,7 +81,9 @@ def test_every_log_is_run_and_scored(
 
 
 def test_the_page_around_the_tables_is_kept(benchmark: ModuleType, tmp_path: Path) -> None:
-    from benchmarking.page import BEGIN, END
+    from benchmarking.page import LOGS, markers
+
+    BEGIN, END = markers(LOGS)
 
     page = tmp_path / "b.md"
     page.write_text(f"# Mine\n{BEGIN}\nold\n{END}\nAfter.\n")

@@ -11,7 +11,7 @@ from benchmarking.tables import Table
 from mfslam.output import write_atomically
 from mfslam.types import MfslamError
 
-DEFAULT_MARKER = "benchmark"
+LOGS = "benchmark"  # marker of the tables of logs
 
 
 def as_text(table: Table) -> str:
@@ -43,11 +43,13 @@ def machine() -> str:
     return f"{model}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
 
 
-def write_markdown(
-    path: Path, tables: list[tuple[str, Table]], command: str, marker: str = DEFAULT_MARKER
-) -> None:
+def markers(name: str) -> tuple[str, str]:
+    return f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+
+
+def write_markdown(path: Path, tables: list[tuple[str, Table]], command: str, marker: str = LOGS) -> None:
     """Replace the part of ``path`` between the markers of that name, or start the page."""
-    opening, closing = f"<!-- {marker}: begin -->", f"<!-- {marker}: end -->"
+    opening, closing = markers(marker)
     section = [
         opening,
         "",
