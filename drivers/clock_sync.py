@@ -113,7 +113,7 @@ class ClockSync:
         i, j = np.triu_indices(len(at), 1)
         slope = float(np.median((lag[j] - lag[i]) / (at[j] - at[i])))
         self.drift = min(max(slope, -MAX_DRIFT), MAX_DRIFT)
-        level = float(np.median(lag - self.drift * (at - at[-1])))
+        level = float(np.min(lag - self.drift * (at - at[-1])))  # nothing arrives before it is sent
         self._line = (float(at[-1]), level)
         if self._bounds is not None and self._delay_s is None:
             self._delay_s = self._lag(self._exchanged_at_s) - 0.5 * sum(self._bounds)

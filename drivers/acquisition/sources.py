@@ -50,6 +50,17 @@ class Sources:
     def _simulated_wheels(self) -> bool:
         return self.wheels is not None and self.wheels.split(":")[0] == "sim"
 
+    def map_settings(self) -> list[str]:
+        """What whoever maps the recording must know of a simulated robot: the geometry of its wheels."""
+        if not self._simulated_wheels:
+            return []
+        from drivers.simulator.robot import RobotModel
+
+        wheels = RobotModel().wheels
+        return [
+            f"wheels.{key}={getattr(wheels, key):g}" for key in ("radius_left_m", "radius_right_m", "track_m")
+        ]
+
     def open(self, config: Config, clock: HostClock, stack: ExitStack) -> list[Sensor]:
         """The sensors; what plays simulated ones ends with ``stack``. Raises MfslamError."""
         lidar, wheels = self.lidar, self.wheels

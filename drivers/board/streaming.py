@@ -31,6 +31,7 @@ class StreamingBoard(LiveSensor):
         byte_s = 10.0 / self.baud if line.baud() is not None else 0.0
         waiting: list[_Arrival] = []
         opened_s = heard_s = line.now_s()
+        begun = False  # the first line is one that we came too late for
         while True:
             if stopped():
                 raise Stopped
@@ -42,12 +43,13 @@ class StreamingBoard(LiveSensor):
             for text in splitter.feed(chunk):
                 told = parse_line(text)
                 if told is None:
-                    self.health.errors["checksum"] += 1
+                    self.health.errors["checksum"] += begun
                 elif isinstance(told, TimeTold):
                     talk.answered(told, received_s, byte_s * (len(text) + 1), byte_s * len(TIME_REQUEST))
                 else:
                     heard_s = received_s
                     waiting.append(_Arrival(told, received_s, byte_s * (len(text) + 1)))
+                begun = True
             if talk.clock_known or received_s - opened_s > CLOCK_S:
                 for arrival in waiting:
                     yield from self._messages(arrival, talk)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from drivers.base import SensorTrouble
@@ -106,7 +107,8 @@ class Session:
         if baud is not None and self.line.baud() not in (None, baud):
             self._change_baud(baud)
         parameters = self._parameters()
-        self.state, _ = info_of(self.ask(requests.STATE))
+        with suppress(NoAnswer):  # what it tells of itself is good to know, no more
+            self.state, _ = info_of(self.ask(requests.STATE))
         self._set_clock()
         return parameters
 

@@ -45,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"recording  {args.output}   (ROS 2: Foxglove, ros2 bag)")
         command = ["mfslam", "map", str(args.output), "-o", str(out)]
         command += [word for name in args.preset for word in ("--preset", name)]
+        command += [word for text in sources.map_settings() for word in ("--set", text)]
         print(f"map it     {shlex.join(command)}")
     return 0
 
@@ -79,9 +80,8 @@ def record(sources: Sources, config: Config, output: Path, duration_s: float | N
                         break
                     assert pump.recorder is not None
                     status.show(taken.seconds, [s.health for s in sensors], pump.recorder.size_bytes)
-        except MfslamError:
-            if not taken.messages:
-                output.unlink(missing_ok=True)  # a sensor that was never there leaves no recording
+        except MfslamError:  # a sensor was never there: what the others said meanwhile is no recording
+            output.unlink(missing_ok=True)
             raise
         finally:
             status.close()

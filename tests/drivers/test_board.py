@@ -157,6 +157,15 @@ def test_a_board_is_found_again(fault: Any) -> None:
     assert stamps[-1] > 111.9e9 and np.all(np.diff(stamps) > 0) and sensor.health.reconnects == 1
 
 
+def test_wheels_that_fall_silent_are_taken_up_again() -> None:
+    sensor, line = rig(board(), StreamingBoard, LineFaults(once=(LineFault(4.0, "stall", 6.0),)))
+    silent = False
+    for message in sensor.messages(until(line, 116.0)):
+        silent = silent or "no reading in 3 s" in sensor.health.text
+        last = message
+    assert sensor.health.reconnects == 1 and last.stamp_ns > 115.9e9
+
+
 def test_a_silent_port_is_told() -> None:
     sensor, line = rig(board(), StreamingBoard, LineFaults(once=(LineFault(0.0, "stall", 1e9),)))
     with pytest.raises(SensorTrouble, match="board:line: no reading in 3 s"):
