@@ -6,6 +6,7 @@ import pytest
 from mfslam import mapping, se2
 from mfslam.config import Config
 from mfslam.deskew import deskew, reference_offset_s
+from mfslam.mapping import cells
 from mfslam.metrics import crispness
 from mfslam.settings import load
 from mfslam.types import Findings, Laser, MfslamError, Scan
@@ -226,8 +227,8 @@ def test_too_many_cells_is_one_line_that_says_what_would_do():
         render(scans, poses)
     assert "\n" not in str(e.value)
     enough = float(str(e.value).split("set map.resolution_m=")[1].split()[0])
-    assert 3e4 * 2e4 / enough**2 < mapping.MAX_CELLS
-    assert 3e4 * 2e4 / enough**2 > 0.7 * mapping.MAX_CELLS
+    assert 3e4 * 2e4 / enough**2 < cells.MAX_CELLS
+    assert 3e4 * 2e4 / enough**2 > 0.7 * cells.MAX_CELLS
 
 
 def test_same_input_same_bytes():
@@ -259,5 +260,91 @@ def test_poses_that_are_not_finite_never_reach_the_kernels():
 def test_judging_in_bands_changes_nothing(monkeypatch):
     scans, poses = drive_round(make_laser())
     whole, _ = render(scans, poses)
-    monkeypatch.setattr(mapping, "_BAND_ROWS", 7)
+    monkeypatch.setattr(cells, "_BAND_ROWS", 7)
     np.testing.assert_array_equal(render(scans, poses)[0].occupancy, whole.occupancy)
+
+
+@pytest.mark.parametrize("resolution_m", [0.05, 0.02])
+def test_a_wall_of_ten_centimetres_keeps_both_its_faces(resolution_m):
+    """A slab across the room's middle, seen from both sides: two lines of cells, and nothing known between."""
+    rng, laser = np.random.default_rng(2), make_laser(beams=721, sigma_m=0.02)
+    scans, poses = [], []
+    for k, (x, y) in enumerate([(-1.5 + 0.05 * k, side) for side in (0.4, 1.6) for k in range(60)]):
+        pose = np.array([x, y, 0.4 if y > 1.0 else -2.0])
+        ranges = cast(laser, pose)
+        at = se2.compose(pose, laser.body_T_laser)
+        sine = np.sin(at[2] + laser.angles_rad)
+        face = 1.027 if at[1] > 1.0 else 0.927
+        with np.errstate(divide="ignore"):
+            to_face = (face - at[1]) / sine
+        ranges = np.where(to_face > 0.0, np.minimum(ranges, to_face), ranges)
+        scans.append(Scan(k, (ranges + rng.normal(0.0, 0.02, 721)).astype(np.float32), laser))
+        poses.append(pose)
+    grid, _ = render(scans, np.array(poses), config=load([], [f"map.resolution_m={resolution_m}"]))
+    columns = ((np.arange(-1.0, 1.5, 0.1) - grid.origin_m[0]) / resolution_m).astype(int)
+    rows = ((np.array([0.927, 1.027]) - grid.origin_m[1]) / resolution_m).astype(int)
+    across = grid.occupancy[rows[0] - 3 : rows[1] + 4, columns]
+    assert np.all(np.sum(across == 100, axis=0) == 2)
+    assert np.all(across[:2] == 0) and np.all(across[-2:] == 0)
+
+
+def pane_scans(laser, poses, pane_y, rng):
+    """Scans of the room with a pane of glass across it that only beams within 15 deg of square meet."""
+    scans = []
+    for k, pose in enumerate(poses):
+        at = se2.compose(pose, laser.body_T_laser)
+        sine = np.sin(at[2] + laser.angles_rad)
+        with np.errstate(divide="ignore"):
+            to_pane = (pane_y - at[1]) / sine
+        ranges = cast(laser, pose)
+        met = (to_pane > 0.0) & (np.abs(sine) > np.cos(np.radians(15.0)))
+        ranges = np.where(met, np.minimum(ranges, to_pane), ranges)
+        scans.append(Scan(k, (ranges + rng.normal(0.0, 0.01, ranges.shape)).astype(np.float32), laser))
+    return scans
+
+
+def test_glass_seen_through_from_aslant_and_met_squarely_is_a_wall():
+    rng, laser = np.random.default_rng(1), make_laser(beams=541)
+    x = np.linspace(-1.5, 3.5, 120)
+    poses = np.stack([x, np.full(120, 0.3), 0.3 * np.sin(x)], axis=-1)
+    grid, _ = render(pane_scans(laser, poses, 1.8, rng), poses)
+    inside = centres(grid, 100)[off_walls(centres(grid, 100)) < -0.1]
+    assert np.max(np.abs(inside[:, 1] - 1.8)) < 0.06
+    columns = np.unique(np.round(inside[:, 0] / grid.resolution_m - 0.5))
+    assert len(columns) > 0.9 * 5.0 / grid.resolution_m
+    beyond = centres(grid, 0)
+    assert np.sum((beyond[:, 1] > 2.0) & (off_walls(beyond) < -0.1)) > 1000, (
+        "what is behind is seen through it"
+    )
+
+
+def test_a_person_who_walks_beside_the_robot_is_no_glass():
+    """Met squarely at every instant, as glass is, but narrow, and gone when the robot stands still."""
+
+    def beside(k):
+        return -1.9 + 0.05 * k, 1.5, 0.2
+
+    rng, laser = np.random.default_rng(4), make_laser(beams=541)
+    poses = np.stack([np.linspace(-1.9, 4.0, 119), np.full(119, 0.3), np.zeros(119)], axis=-1)
+    scans = [Scan(k, cast(laser, p, person=beside(k), rng=rng), laser) for k, p in enumerate(poses)]
+    grid, _ = render(scans, poses)
+    walls = centres(grid, 100)
+    where = np.abs(walls[:, 0] - 1.0) < 2.0  # at both ends of the log nothing came before or after the person
+    assert np.min(off_walls(walls)[where]) > -0.1
+
+
+def test_slits_between_beams_are_free_and_walls_between_them_closed():
+    """Beams 1 deg apart at 6 m, cells of 2 cm: without filling, a comb."""
+    laser = make_laser(beams=181, fov_deg=180.0, sigma_m=0.005, mount=(0.0, 0.0, 0.0))
+    poses = np.tile([-2.0, 1.0, 0.0], (5, 1))
+    scans = [Scan(k, cast(laser, pose), laser) for k, pose in enumerate(poses)]
+    grid, _ = render(scans, poses, config=load([], ["map.resolution_m=0.02"]))
+    walls = centres(grid, 100)
+    east = walls[(np.abs(walls[:, 0] - ROOM[2]) < 0.03) & (np.abs(walls[:, 1] - 1.0) < 2.5)]
+    assert len(east) >= 0.95 * 5.0 / 0.02
+    rows, cols = np.nonzero(grid.occupancy == -1)
+    unknown = grid.origin_m + 0.02 * (np.stack([cols, rows], axis=-1) + 0.5) - poses[0, :2]
+    near = (np.hypot(*unknown.T) < 5.0) & (
+        np.abs(np.arctan2(unknown[:, 1], unknown[:, 0])) < np.radians(85.0)
+    )
+    assert not np.any(near & (off_walls(unknown + poses[0, :2]) < -0.1))

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from mfslam.types import Float32Array, FloatArray
+from mfslam.types import Float32Array, FloatArray, Int8Array
 
 CountArray = npt.NDArray[np.uint16]
 KindArray = npt.NDArray[np.int8]
@@ -64,6 +64,55 @@ def place_beams(
             starts[k, j, 1] = y + s * mount[0] + c * mount[1]
             ends[k, j, 0] = starts[k, j, 0] + r * (c * cos_beam[j] - s * sin_beam[j])
             ends[k, j, 1] = starts[k, j, 1] + r * (s * cos_beam[j] + c * sin_beam[j])
+
+
+@njit(cache=True, nogil=True)
+def drop_mixed(
+    ranges: Float32Array,
+    starts: FloatArray,
+    ends: FloatArray,
+    kinds: KindArray,
+    sigma: float,
+    beam_step: float,
+) -> None:
+    """Hits of beams (C, N) that met an edge, and tell a range between what is before and what is behind it, where
+    nothing is: they become free space up to what is before it.
+
+    Such a hit lies between its neighbours' ranges and on neither of their surfaces, along which the inverse of the range
+    is linear in the angle.
+    """
+    n = ranges.shape[1]
+    for k in range(ranges.shape[0]):
+        for j in range(1, n - 1):
+            if kinds[k, j] != HIT:
+                continue
+            r, left, right = ranges[k, j], ranges[k, j - 1], ranges[k, j + 1]
+            near, far = min(left, right), max(left, right)
+            # of a neighbour that says nothing (NaN), nothing follows
+            apart = 4.0 * sigma + 2.0 * beam_step * r
+            if not (near + apart < r < far - apart):
+                continue
+            if _on_line(ranges[k], j, -1, sigma) or _on_line(ranges[k], j, 1, sigma):
+                continue
+            share = max(0.0, near - 3.0 * sigma) / r
+            kinds[k, j] = FREE
+            for u in range(2):
+                ends[k, j, u] = starts[k, j, u] + share * (ends[k, j, u] - starts[k, j, u])
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _on_line(ranges: Float32Array, j: int, side: int, sigma: float) -> bool:
+    """Whether a range goes on along the line of the two beside it."""
+    if not 0 <= j + 2 * side < ranges.shape[0]:
+        return False
+    r, r1, r2 = ranges[j], ranges[j + side], ranges[j + 2 * side]
+    if not (r1 > 0.0 and r2 > 0.0):
+        return False
+    inverse = 2.0 / r1 - 1.0 / r2
+    # what noise of the two makes of the prediction
+    loose = 3.0 * sigma * r * r * (2.0 / (r1 * r1) + 1.0 / (r2 * r2)) + 3.0 * sigma
+    on_line: bool = inverse > 0.0 and abs(1.0 / inverse - r) < loose
+    return on_line
 
 
 @njit(cache=True, nogil=True)
@@ -186,3 +235,42 @@ def _count(counts: CountArray, at: int) -> None:
     k = np.uintp(at)  # unsigned: no check for negative indices
     known = counts[k]
     counts[k] = known + (known != FULL)
+
+
+@njit(cache=True, nogil=True)
+def bridge_hits(
+    ends: FloatArray,
+    kinds: KindArray,
+    facings: Int8Array,
+    sectors: int,
+    origin: FloatArray,
+    cell: float,
+    limit: float,
+    hits: CountArray,
+) -> None:
+    """Count a hit in every cell between neighbouring hits of one surface, not farther than ``limit`` m apart: beams that
+    fan out leave a wall dotted where cells are small.
+
+    ``facings`` (C, N): the sector, of so many, that a hit's surface faces; -1 for none.
+    """
+    for k in range(ends.shape[0]):
+        for j in range(ends.shape[1] - 1):
+            if kinds[k, j] != HIT or kinds[k, j + 1] != HIT or facings[k, j] < 0 or facings[k, j + 1] < 0:
+                continue
+            turn = (facings[k, j] - facings[k, j + 1]) % sectors
+            if 1 < turn < sectors - 1:
+                continue
+            dx, dy = ends[k, j + 1, 0] - ends[k, j, 0], ends[k, j + 1, 1] - ends[k, j, 1]
+            length = math.sqrt(dx * dx + dy * dy)
+            x, y = (ends[k, j, 0] - origin[0]) / cell, (ends[k, j, 1] - origin[1]) / cell
+            steps = max(abs(int(x + dx / cell) - int(x)), abs(int(y + dy / cell) - int(y)))
+            if length > limit or steps < 2:
+                continue
+            angle = 2.0 * math.pi * facings[k, j] / sectors
+            if abs(math.cos(angle) * dx + math.sin(angle) * dy) > 0.6 * length:
+                continue
+            for step in range(1, steps):
+                share = step / steps
+                row, col = int(y + share * dy / cell), int(x + share * dx / cell)
+                if hits[row, col] < FULL:
+                    hits[row, col] += 1

@@ -58,12 +58,14 @@ def find_flanks(
                 sxx += d * x * x
                 sxy += d * x * y
                 syy += d * y * y
+        values[k] = density[row, col]
+        if m <= 0.0:
+            continue
         mx, my = sx / m, sy / m
         cxx, cxy, cyy = sxx / m - mx * mx, sxy / m - mx * my, syy / m - my * my
         across = 0.5 * math.atan2(2.0 * cxy, cxx - cyy) + 0.5 * math.pi
         nx, ny = math.cos(across), math.sin(across)
         scale = 1.0 / max(abs(nx), abs(ny))
-        values[k] = density[row, col]
         own = _sum_along(density, row, col, nx, ny, along)
         for t in range(-reach, reach + 1):
             i, j = row + round(t * ny * scale), col + round(t * nx * scale)
@@ -113,6 +115,37 @@ def thin_walls(occupied: BoolArray, cells: IntArray) -> None:
             if occupied[row, col] and _is_simple(occupied, row, col):
                 occupied[row, col] = False
                 changed = True
+
+
+@njit(cache=True, nogil=True)
+def drop_islands(occupied: BoolArray, flanks: IntArray) -> None:
+    """Clear what stands apart of ``occupied`` and is made of ``flanks`` (K, 2) alone: specks beside a wall."""
+    rows, cols = occupied.shape
+    keys = np.sort(flanks[:, 0] * cols + flanks[:, 1])
+    seen = np.zeros(keys.shape[0], np.bool_)
+    island = np.empty(keys.shape[0], np.int64)
+    for k in range(keys.shape[0]):
+        if seen[k]:
+            continue
+        seen[k] = True
+        island[0], size, done, apart = k, 1, 0, True
+        while done < size:
+            row, col = keys[island[done]] // cols, keys[island[done]] % cols
+            done += 1
+            for i in range(max(0, row - 1), min(rows, row + 2)):
+                for j in range(max(0, col - 1), min(cols, col + 2)):
+                    if not occupied[i, j]:
+                        continue
+                    at = np.searchsorted(keys, i * cols + j)
+                    if at == keys.shape[0] or keys[at] != i * cols + j:
+                        apart = False
+                    elif not seen[at]:
+                        seen[at] = True
+                        island[size] = at
+                        size += 1
+        if apart:
+            for q in range(size):
+                occupied[keys[island[q]] // cols, keys[island[q]] % cols] = False
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -17,15 +17,18 @@ from mfslam.kernels import (
     cells,
     correlate,
     evidence,
+    glass,
     matrices,
+    patches,
     poses,
     raytrace,
     reach,
     scans,
     selected_inverse,
+    surfels,
     walls,
 )
-from mfslam.types import FloatArray
+from mfslam.types import BoolArray, FloatArray
 
 
 def compile_once(tell: Callable[[str], None]) -> float:
@@ -130,23 +133,64 @@ def _call_marginals() -> None:
 
 
 def _call_mapping() -> None:
-    shape, angles = (2, 40), np.linspace(-1.5, 1.5, 40)
+    shape, angles, times = (2, 40), np.linspace(-1.5, 1.5, 40), np.zeros(40)
+    ranges, poses_in = np.full(shape, 2.0, np.float32), np.zeros((2, 3))
     starts, ends, stops = np.empty((*shape, 2)), np.empty((*shape, 2)), np.empty((*shape, 2))
-    kinds = np.empty(shape, np.int8)
+    kinds, facings = np.empty(shape, np.int8), np.empty(shape, np.int8)
     raytrace.place_beams(
-        np.full(shape, 2.0, np.float32), np.zeros((2, 3)), np.ones((2, 3)), angles, np.zeros(40), np.zeros(3),
-        (0.1, 10.0, 0.0), starts, ends, kinds,
-    )  # fmt: skip
+        ranges, poses_in, np.ones((2, 3)), angles, times, np.zeros(3), (0.1, 10.0, 0.0), starts, ends, kinds
+    )
+    raytrace.drop_mixed(ranges, starts, ends, kinds, 0.02, 0.08)
     raytrace.limit_range(starts, ends, kinds, 10.0, np.zeros(4))
+    no_keys, no_sums = np.full(64, surfels.EMPTY, np.int64), np.zeros((64, 5))
+    keys, sums, _ = surfels.add_hits(no_keys, no_sums, 0, starts, ends, kinds, 0.08, 0.02, 0.06, facings)
+    lines = surfels.fit_surfaces(keys, sums, 0.06, 0.02, 1)
+    surfels.adjust_ends(keys, lines, 0.06, 0.02, facings, starts, kinds, ends)
     raytrace.stop_short(starts, ends, kinds, 0.02, stops)
+    origin = np.array([-4.0, -4.0])
     hits, passes, near = (np.zeros((80, 80), np.uint16) for _ in range(3))
     raytrace.trace_beams(
-        starts.reshape(-1, 2), stops.reshape(-1, 2), ends.reshape(-1, 2), kinds.ravel(),
-        np.array([-4.0, -4.0]), 0.1, hits, passes, near,
-    )  # fmt: skip
+        starts.reshape(-1, 2),
+        stops.reshape(-1, 2),
+        ends.reshape(-1, 2),
+        kinds.ravel(),
+        origin,
+        0.1,
+        hits,
+        passes,
+        near,
+    )
+    raytrace.bridge_hits(ends, kinds, facings, surfels.SECTORS, origin, 0.1, 0.2, hits)
+    counts = np.zeros(len(lines), np.int64)
+    glass.count_square(
+        lines,
+        ranges,
+        poses_in,
+        poses_in,
+        angles,
+        times,
+        np.zeros(3),
+        (0.1, 10.0, 8.0),
+        0.02,
+        counts,
+        counts.copy(),
+    )
+    glass.share_behind(keys, sums, lines, 0.06, 0.02)
     occupied = hits > 0
-    found = np.argwhere(occupied)
+    glass.draw_lines(
+        lines[glass.keep_runs(keys, lines, counts > 0, 0.06, 0.02, 1)], 0.03, origin, 0.1, occupied
+    )
+    _call_judging(occupied, hits)
+
+
+def _call_judging(occupied: BoolArray, hits: raytrace.CountArray) -> None:
+    found = np.ascontiguousarray(np.argwhere(occupied))
     density = np.zeros(hits.shape, np.float32)
     walls.smooth_hits(hits, found, np.ones(3), 0, density)
     is_flank, _ = walls.find_flanks(density, 0, found, 1, 2, 1)
-    walls.thin_walls(occupied, np.concatenate([found[is_flank]]))
+    flanks = np.concatenate([found[is_flank]])
+    walls.thin_walls(occupied, flanks)
+    walls.drop_islands(occupied, flanks[:0])
+    free = ~occupied
+    patches.drop_crumbs(free, 1, 1, found)
+    patches.fill_slits(free.view(np.int8), 2, 1)

@@ -12,6 +12,8 @@ from mfslam.kernels.raytrace import (
     FREE,
     HIT,
     SILENT,
+    bridge_hits,
+    drop_mixed,
     limit_range,
     place_beams,
     stop_short,
@@ -165,3 +167,41 @@ def test_a_beam_without_neighbours_stops_two_sigmas_short():
     ends = np.array([[[1.0, 0.0], [3.0, 0.0], [1.0, 0.0]]])
     stop_short(starts, ends, np.array([[SILENT, HIT, FREE]], np.int8), 0.05, stops)
     np.testing.assert_allclose(stops[0, 1:], [[2.9, 0.0], [1.0, 0.0]])
+
+
+def mixed(ranges, sigma=0.01, step=0.01):
+    """Kinds and lengths of beams after mixed hits were dropped."""
+    ranges = np.array([ranges], np.float32)
+    angles = step * np.arange(ranges.shape[1])
+    starts = np.zeros((*ranges.shape, 2))
+    ends = np.nan_to_num(ranges)[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    kinds = np.where(np.isfinite(ranges), HIT, SILENT).astype(np.int8)
+    drop_mixed(ranges, starts, ends, kinds, sigma, step)
+    return kinds[0].tolist(), np.hypot(*ends[0].T)
+
+
+def test_a_range_between_two_surfaces_is_free_space_up_to_the_nearer():
+    kinds, length = mixed([2.0, 2.0, 2.0, 3.1, 5.0, 5.0, 5.0])
+    assert kinds == [HIT, HIT, HIT, FREE, HIT, HIT, HIT]
+    assert length[3] == pytest.approx(2.0 - 3 * 0.01, abs=1e-5)
+
+
+def test_surfaces_seen_aslant_poles_and_gaps_are_not_mixed():
+    along_a_wall = (1.0 / np.sin(0.05 + 0.01 * np.arange(8))[::-1]).tolist()
+    assert mixed(along_a_wall)[0] == [HIT] * 8
+    assert mixed([5.0, 5.0, 2.0, 5.0, 5.0])[0] == [HIT] * 5, "a pole"
+    assert mixed([2.0, 2.0, 6.0, 2.0, 2.0])[0] == [HIT] * 5, "a crack"
+    assert mixed([2.0, 2.0, 4.0, np.nan, 7.0, 7.0])[0][2] == HIT, "the neighbour says nothing"
+
+
+def test_hits_of_one_surface_have_wall_between_them():
+    hits = np.zeros((ROWS, COLS), np.uint16)
+    ends = ORIGIN + CELL * np.array([[[5.5, 4.5], [9.5, 4.5], [9.5, 20.5], [30.5, 20.5]]])
+    facings = np.array([[6, 6, 6, 6]], np.int8)  # towards -y
+    kinds = np.full((1, 4), HIT, np.int8)
+    bridge_hits(ends, kinds, facings, 8, ORIGIN, CELL, 2.0, hits)
+    assert cells_of(hits) == {(6, 4), (7, 4), (8, 4)}, "neither along the view nor over a wide gap"
+    kinds[0, 1] = FREE
+    hits[:] = 0
+    bridge_hits(ends, kinds, facings, 8, ORIGIN, CELL, 2.0, hits)
+    assert hits.sum() == 0
