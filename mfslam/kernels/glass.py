@@ -71,7 +71,7 @@ def count_square(
                 passed[q] += 1
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _laser_at(
     pose: FloatArray, vx: float, vy: float, w: float, time: float, mount: FloatArray
 ) -> tuple[float, float, float]:
@@ -82,13 +82,19 @@ def _laser_at(
     return px + c * mount[0] - s * mount[1], py + s * mount[0] + c * mount[1], heading + mount[2]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _beam_towards(bearing: float, angles: FloatArray, step: float) -> int:
     """The beam nearest to a bearing; -1 where none points there."""
     n = angles.shape[0]
     bearing -= 2.0 * math.pi * math.floor((bearing - angles[0] + 0.5 * step) / (2.0 * math.pi))
-    at = int(np.searchsorted(angles, bearing))
-    if at == n or (at > 0 and bearing - angles[at - 1] < angles[at] - bearing):
+    at = min(n - 1, max(0, round((bearing - angles[0]) / step)))
+    while at + 1 < n and angles[at + 1] <= bearing:
+        at += 1
+    while at > 0 and angles[at - 1] > bearing:
+        at -= 1
+    if at + 1 < n and angles[at + 1] - bearing < abs(bearing - angles[at]):
+        at += 1
+    elif at > 0 and bearing - angles[at - 1] < abs(bearing - angles[at]):
         at -= 1
     return at if abs(angles[at] - bearing) <= step else -1
 
@@ -150,7 +156,7 @@ def keep_runs(
     return kept
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _is_glassy(
     keys: IntArray,
     lines: FloatArray,

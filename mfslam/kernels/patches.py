@@ -41,7 +41,8 @@ def drop_crumbs(free: BoolArray, min_cells: int, min_side: int, kept: IntArray) 
     cells, side = np.zeros(count, np.int64), np.zeros(count, np.int64)
     above, here = np.zeros(cols + 1, np.int32), np.zeros(cols + 1, np.int32)
     for i in range(rows):
-        here[:] = 0
+        for j in range(cols + 1):
+            here[j] = 0
         for k in range(begins[i], begins[i + 1]):
             root = _root(parent, k)
             cells[root] += last[k] - first[k] + 1
@@ -59,7 +60,8 @@ def drop_crumbs(free: BoolArray, min_cells: int, min_side: int, kept: IntArray) 
         for k in range(begins[i], begins[i + 1]):
             root = _root(parent, k)
             if cells[root] < min_cells or side[root] < min_side:
-                free[i, first[k] : last[k] + 1] = False
+                for j in range(first[k], last[k] + 1):
+                    free[i, j] = False
 
 
 @njit(cache=True, nogil=True)
@@ -89,9 +91,7 @@ def fill_slits(occupancy: Int8Array, between: int, before: int) -> None:
     """Unknown cells (-1) become free (0) in slits along a row or a column: of at most ``between`` cells from free to free,
     where beams fan out, and of at most ``before`` cells from free to occupied, where a wall was thinned."""
     rows, cols = occupancy.shape
-    state = np.full(
-        (2, max(rows, cols)), -1, np.int64
-    )  # by row or column: where the last known cell was, and what
+    state = np.full((2, cols), -1, np.int64)  # by column: row of the last known cell, and what it is
     for i in range(rows):
         at, what = -1, -1
         for j in range(cols):
@@ -101,7 +101,8 @@ def fill_slits(occupancy: Int8Array, between: int, before: int) -> None:
             if what == 0 or now == 0:
                 width = between if what == now else before
                 if 1 < j - at <= width + 1 and what >= 0:
-                    occupancy[i, at + 1 : j] = 0
+                    for q in range(at + 1, j):
+                        occupancy[i, q] = 0
             at, what = j, now
     for i in range(rows):
         for j in range(cols):
@@ -112,5 +113,6 @@ def fill_slits(occupancy: Int8Array, between: int, before: int) -> None:
             if what == 0 or now == 0:
                 width = between if what == now else before
                 if 1 < i - at <= width + 1 and what >= 0:
-                    occupancy[at + 1 : i, j] = 0
+                    for q in range(at + 1, i):
+                        occupancy[q, j] = 0
             state[0, j], state[1, j] = i, now

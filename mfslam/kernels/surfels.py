@@ -81,7 +81,7 @@ def _sector(nx: float, ny: float) -> int:
     return round(math.atan2(ny, nx) * SECTORS / (2.0 * math.pi)) % SECTORS
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def find_patch(keys: IntArray, ix: int, iy: int, sector: int) -> int:
     """Slot of a patch, or of the free place where it would go. The patches of one cell share a line of the cache."""
     key = _key(ix, iy, sector)
@@ -99,7 +99,7 @@ def _key(ix: int, iy: int, sector: int) -> int:
     return ((ix * SECTORS + sector) << 32) ^ (iy & 0xFFFFFFFF)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def patch_place(key: int) -> tuple[int, int, int]:
     """Cell, x and y, and sector of a key."""
     iy = key & 0xFFFFFFFF
@@ -227,7 +227,7 @@ def adjust_ends(
             ends[k, j, 1] += shift_y
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _towards_line(
     keys: IntArray,
     lines: FloatArray,

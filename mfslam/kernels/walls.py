@@ -7,10 +7,15 @@ flanks are taken off, the weakest first, and never one that holds the wall toget
 import math
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from mfslam.kernels.raytrace import CountArray
 from mfslam.types import BoolArray, Float32Array, FloatArray, IntArray
+
+ByteArray = npt.NDArray[np.uint8]
+
+_FLANK, _SEEN = 2, 3  # marks of flanks, while islands are sought
 
 
 @njit(cache=True, nogil=True)
@@ -118,34 +123,33 @@ def thin_walls(occupied: BoolArray, cells: IntArray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def drop_islands(occupied: BoolArray, flanks: IntArray) -> None:
-    """Clear what stands apart of ``occupied`` and is made of ``flanks`` (K, 2) alone: specks beside a wall."""
-    rows, cols = occupied.shape
-    keys = np.sort(flanks[:, 0] * cols + flanks[:, 1])
-    seen = np.zeros(keys.shape[0], np.bool_)
-    island = np.empty(keys.shape[0], np.int64)
-    for k in range(keys.shape[0]):
-        if seen[k]:
+def drop_islands(marks: ByteArray, flanks: IntArray) -> None:
+    """Clear what stands apart and is made of ``flanks`` (K, 2) alone: specks beside a wall.
+
+    ``marks`` (rows, cols): 1 for occupied cells, as a boolean grid seen as bytes.
+    """
+    rows, cols = marks.shape
+    for k in range(flanks.shape[0]):
+        marks[flanks[k, 0], flanks[k, 1]] = _FLANK
+    island = np.empty((flanks.shape[0], 2), np.int64)
+    for k in range(flanks.shape[0]):
+        if marks[flanks[k, 0], flanks[k, 1]] != _FLANK:
             continue
-        seen[k] = True
-        island[0], size, done, apart = k, 1, 0, True
+        marks[flanks[k, 0], flanks[k, 1]] = _SEEN
+        island[0, 0], island[0, 1], size, done, apart = flanks[k, 0], flanks[k, 1], 1, 0, True
         while done < size:
-            row, col = keys[island[done]] // cols, keys[island[done]] % cols
+            row, col = island[done, 0], island[done, 1]
             done += 1
             for i in range(max(0, row - 1), min(rows, row + 2)):
                 for j in range(max(0, col - 1), min(cols, col + 2)):
-                    if not occupied[i, j]:
-                        continue
-                    at = np.searchsorted(keys, i * cols + j)
-                    if at == keys.shape[0] or keys[at] != i * cols + j:
-                        apart = False
-                    elif not seen[at]:
-                        seen[at] = True
-                        island[size] = at
+                    if marks[i, j] == _FLANK:
+                        marks[i, j] = _SEEN
+                        island[size, 0], island[size, 1] = i, j
                         size += 1
-        if apart:
-            for q in range(size):
-                occupied[keys[island[q]] // cols, keys[island[q]] % cols] = False
+                    elif marks[i, j] == 1:
+                        apart = False
+        for q in range(size):
+            marks[island[q, 0], island[q, 1]] = 0 if apart else 1
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -190,7 +190,7 @@ def _call_judging(occupied: BoolArray, hits: raytrace.CountArray) -> None:
     is_flank, _ = walls.find_flanks(density, 0, found, 1, 2, 1)
     flanks = np.concatenate([found[is_flank]])
     walls.thin_walls(occupied, flanks)
-    walls.drop_islands(occupied, flanks[:0])
+    walls.drop_islands(occupied.view(np.uint8), flanks)
     free = ~occupied
     patches.drop_crumbs(free, 1, 1, found)
     patches.fill_slits(free.view(np.int8), 2, 1)

@@ -111,4 +111,5 @@ def _thin(occupied: BoolArray, hits: raytrace.CountArray, sigma_cells: float) ->
         values.append(value[is_flank])
     weakest_first = np.concatenate(flanks)[np.argsort(np.concatenate(values), kind="stable")]
     walls.thin_walls(occupied, weakest_first)
-    walls.drop_islands(occupied, weakest_first[occupied[weakest_first[:, 0], weakest_first[:, 1]]])
+    left = weakest_first[occupied[weakest_first[:, 0], weakest_first[:, 1]]]
+    walls.drop_islands(occupied.view(np.uint8), left)
