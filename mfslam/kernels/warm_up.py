@@ -144,6 +144,7 @@ def _call_mapping() -> None:
     raytrace.limit_range(starts, ends, kinds, 10.0, np.zeros(4))
     no_keys, no_sums = np.full(64, surfels.EMPTY, np.int64), np.zeros((64, 5))
     keys, sums, _ = surfels.add_hits(no_keys, no_sums, 0, starts, ends, kinds, 0.08, 0.02, 0.06, facings)
+    surfels.patch_place(surfels.find_patch(keys, 0, 0, 0))
     lines = surfels.fit_surfaces(keys, sums, 0.06, 0.02, 1)
     surfels.adjust_ends(keys, lines, 0.06, 0.02, facings, starts, kinds, ends)
     raytrace.stop_short(starts, ends, kinds, 0.02, stops)
