@@ -46,11 +46,10 @@ def _spread(world_T_body: FloatArray, j: int, candidates: IntArray, count: int) 
     offset = world_T_body[candidates] - world_T_body[j]
     cost = np.hypot(offset[:, 0], offset[:, 1]) + 0.5 * np.abs(np.sin(0.5 * offset[:, 2]))
     chosen: list[int] = []
-    for k in candidates[np.argsort(cost)]:
-        if all(abs(k - c) >= 10 for c in chosen):
-            chosen.append(int(k))
-            if len(chosen) == count:
-                break
+    left = candidates[np.argsort(cost)]
+    while left.size and len(chosen) < count:
+        chosen.append(int(left[0]))
+        left = left[np.abs(left - left[0]) >= 10]
     return chosen
 
 

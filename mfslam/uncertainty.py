@@ -20,12 +20,19 @@ class RelativeUncertainty:
     def __init__(self) -> None:
         self._ends = array("q")  # i, j of each edge
         self._variances = array("d")  # of position, of heading of each edge
+        # the edges of a keyframe as a list that is linked through their ends (place h of _ends is end h)
+        self._newest = array("q")  # end of each keyframe, -1: none
+        self._older = array("q")  # for each end the one before it at the same keyframe
 
     def add(self, edge: Edge, torn: bool = False) -> None:
         """Take note of an edge between two keyframes; ``torn``: nobody watched the robot between them, and
         what the edge leaves open is open."""
         covariance = np.linalg.inv(edge.information + (0.0 if torn else LEAST_KNOWN))
-        self._ends.extend((edge.i, edge.j))
+        self._newest.extend([-1] * (max(edge.i, edge.j) + 1 - len(self._newest)))
+        for keyframe in (edge.i, edge.j):
+            self._older.append(self._newest[keyframe])
+            self._newest[keyframe] = len(self._ends)
+            self._ends.append(keyframe)
         self._variances.extend((covariance[0, 0] + covariance[1, 1], covariance[2, 2]))
 
     def remove(self, edge: Edge) -> None:
@@ -38,13 +45,14 @@ class RelativeUncertainty:
 
     def seen_from(self, keyframe: int, world_T_body: FloatArray) -> tuple[FloatArray, FloatArray]:
         """One-sigma position (m) and heading (rad), (K,) each, of every keyframe seen from one of them."""
-        count = len(world_T_body)
-        pairs = np.array(self._ends).reshape(-1, 2)
-        variances = np.array(self._variances).reshape(-1, 2)
-        ends, others = pairs.T.ravel(), pairs[:, ::-1].T.ravel()
-        order = np.argsort(ends, kind="stable")
-        first = np.searchsorted(ends[order], np.arange(count + 1)).astype(np.int64)
+        newest = np.full(len(world_T_body), -1, np.int64)
+        newest[: len(self._newest)] = np.frombuffer(self._newest, np.int64)[: len(newest)]
         out = reach.relative_sigmas(
-            keyframe, world_T_body, first, others[order], np.concatenate([variances, variances])[order]
+            keyframe,
+            world_T_body,
+            newest,
+            np.frombuffer(self._older, np.int64) if self._older else newest,
+            np.frombuffer(self._ends, np.int64) if self._ends else newest,
+            np.frombuffer(self._variances).reshape(-1, 2) if self._variances else np.empty((0, 2)),
         )
         return np.sqrt(out[:, 0]), np.sqrt(out[:, 1])

@@ -139,9 +139,8 @@ class PoseGraph:
         used = [e for e in edges if e.weight >= 0.5]
         values = gtsam.LevenbergMarquardtOptimizer(self._graph(used, robust=True), self._values()).optimize()
         self._poses[:] = gtsam.utilities.extractPose2(values)
-        return [
-            dataclasses.replace(e, weight=self._kernel_weight(e)) if e.weight >= 0.5 else e for e in edges
-        ]
+        weights = iter(self._kernel_weights(used).tolist())
+        return [dataclasses.replace(e, weight=next(weights)) if e.weight >= 0.5 else e for e in edges]
 
     def optimize_satisfied(self, edges: list[Edge]) -> list[Edge]:
         """The same until every loop in use (weight of at least one half) is satisfied: those that are not are
@@ -245,13 +244,15 @@ class PoseGraph:
         )
         return values, weights[1:]
 
-    def _kernel_weight(self, edge: Edge) -> float:
-        """What the Cauchy kernel leaves of a scan or loop edge at the poses as they stand."""
-        if edge.kind not in ("scan", "loop"):
-            return 1.0
-        error = self._error(edge)
-        chi2 = float(error @ edge.information @ error)
-        return 1.0 / (1.0 + chi2 / self.config.loop_kernel_sigmas**2)
+    def _kernel_weights(self, edges: list[Edge]) -> FloatArray:
+        """What the Cauchy kernel leaves of scan and loop edges at the poses as they stand; 1 for others."""
+        ends = np.array([(e.i, e.j) for e in edges], dtype=np.int64).reshape(-1, 2)
+        measured = np.array([e.i_T_j for e in edges]).reshape(-1, 3)
+        error = se2.between(measured, se2.between(self._poses[ends[:, 0]], self._poses[ends[:, 1]]))
+        information = np.array([e.information for e in edges]).reshape(-1, 3, 3)
+        chi2 = np.einsum("ni,nij,nj->n", error, information, error)
+        robust = np.array([e.kind in ("scan", "loop") for e in edges], dtype=np.bool_)
+        return np.where(robust, 1.0 / (1.0 + chi2 / self.config.loop_kernel_sigmas**2), 1.0)
 
     def _graph(self, edges: list[Edge], robust: bool) -> gtsam.NonlinearFactorGraph:
         graph = gtsam.NonlinearFactorGraph()

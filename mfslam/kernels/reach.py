@@ -12,12 +12,18 @@ LEVER_M = 10.0  # weighs heading against position when paths are compared
 
 @njit(cache=True, nogil=True)
 def relative_sigmas(
-    start: int, poses: FloatArray, first: IntArray, other: IntArray, covariances: FloatArray
+    start: int,
+    poses: FloatArray,
+    newest: IntArray,
+    older: IntArray,
+    ends: IntArray,
+    variances: FloatArray,
 ) -> FloatArray:
     """(K, 3) variances (x + y in m^2, heading in rad^2, path cost) of every keyframe seen from ``start``.
 
-    The graph is given by rows: edges first[k]:first[k + 1] of keyframe k lead to ``other`` and carry
-    (position, heading) variances. One path bounds the joint marginal from above, at the price of a
+    Edge e has the ends 2 e and 2 e + 1, at the keyframes ``ends`` (2 E,), and (position, heading)
+    ``variances`` (E, 2). The ends at a keyframe are linked: ``newest`` (K,) is the last of them, ``older``
+    (2 E,) the one before each, -1 where there is none. So the graph grows at no cost. One path bounds the joint marginal from above, at the price of a
     search instead of a factorisation: heading errors act on position with the distance still to go.
     """
     n = poses.shape[0]
@@ -33,11 +39,12 @@ def relative_sigmas(
         if done[k]:
             continue
         done[k] = True
-        for e in range(first[k], first[k + 1]):
-            m = other[e]
+        end = newest[k]
+        while end >= 0:
+            m, vp, vh = ends[end ^ 1], variances[end >> 1, 0], variances[end >> 1, 1]
+            end = older[end]
             if done[m]:
                 continue
-            vp, vh = covariances[e, 0], covariances[e, 1]
             new_cost = cost + vp + LEVER_M * LEVER_M * vh
             if new_cost < out[m, 2]:
                 out[m, 2] = new_cost

@@ -122,7 +122,8 @@ def _call_loop_closure(points: FloatArray) -> None:
     correlate.branch_and_bound(levels, corner, 0.1, points, pose, np.zeros(1), 0.3, 0.1, pose)
     grid = evidence.evidence_grid(np.zeros((1, 2)), np.array([0, len(points)]), points, corner, 60, 60, 0.1)
     evidence.agreement(grid, corner, 0.1, pose, points)
-    reach.relative_sigmas(0, np.zeros((2, 3)), np.array([0, 1, 2]), np.array([1, 0]), np.ones((2, 2)))
+    ends = np.array([0, 1])
+    reach.relative_sigmas(0, np.zeros((2, 3)), ends, np.array([-1, -1]), ends, np.ones((1, 2)))
 
 
 def _call_marginals() -> None:

@@ -8,11 +8,12 @@ from mfslam.kernels import reach
 
 
 def rows_of(count, edges):
-    """Adjacency (first, other, variances) of undirected edges (i, j, position, heading variance)."""
-    both = sorted([(i, j, p, h) for i, j, p, h in edges] + [(j, i, p, h) for i, j, p, h in edges])
-    first = np.searchsorted([e[0] for e in both], np.arange(count + 1)).astype(np.int64)
-    variances = np.array([e[2:] for e in both], dtype=float).reshape(-1, 2)
-    return first, np.array([e[1] for e in both], dtype=np.int64), variances
+    """The linked ends of undirected edges (i, j, position, heading variance), and their variances."""
+    ends = np.array([e[:2] for e in edges], dtype=np.int64).ravel()
+    newest, older = np.full(count, -1, np.int64), np.empty(len(ends), np.int64)
+    for end, keyframe in enumerate(ends):
+        older[end], newest[keyframe] = newest[keyframe], end
+    return newest, older, ends, np.array([e[2:] for e in edges], dtype=float).reshape(-1, 2)
 
 
 def test_a_straight_chain():
