@@ -294,6 +294,14 @@ class RefineConfig(_Stage):
         True, description="Match the scans between keyframes once more with all keyframes around them."
     )
     min_inlier_ratio: float = Field(0.4, gt=0, lt=1, description="Share of matched points that a pair needs.")
+    independent_share: float = Field(
+        1.0,
+        gt=0,
+        le=1,
+        description="As icp.independent_share, of matches with single scans: every point has its own noise there.",
+    )
+    sigma_floor_m: float = Field(0.0005, ge=0, description="As icp.sigma_floor_m, of these matches, m.")
+    sigma_floor_deg: float = Field(0.01, ge=0, description="As icp.sigma_floor_deg, of these matches, deg.")
 
 
 class MapConfig(_Stage):

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
 
-from mfslam import icp
+from mfslam import icp, se2
 from mfslam.config import Config, IcpConfig, RefineConfig
 from mfslam.deskew import deskew
 from mfslam.frontend import Keyframe, merged_surface
@@ -66,6 +67,8 @@ def match_neighbours(
     The reference of a predecessor is the surface that it and those before it saw
     (``config.surface_keyframes``), that of another pass the scan alone.
     """
+    own = ("independent_share", "sigma_floor_m", "sigma_floor_deg")
+    icp_config = icp_config.model_copy(update={key: getattr(config, key) for key in own})
     tables: OrderedDict[tuple[int, int], CellTable] = OrderedDict()  # of the latest references
     edges: list[Edge] = []
     for i, j in pairs:  # they come in order of j
@@ -88,6 +91,34 @@ def match_neighbours(
             continue
         edges.append(Edge("scan", i, j, match.ref_T_src, match.information))
     return edges
+
+
+def with_motion_errors(edges: list[Edge], variances: FloatArray) -> list[Edge]:
+    """Scan edges less sure by what the motion within either scan may have moved it: ``variances`` (K, 3) of each
+    keyframe's pose in its own frame."""
+    out = []
+    for edge in edges:
+        adjoint = se2.adjoint(poses.between(edge.i_T_j, np.zeros(3)))
+        error = adjoint * variances[edge.i] @ adjoint.T + np.diag(variances[edge.j])
+        # (H^-1 + F)^-1 without inverting what may be singular
+        information = edge.information @ np.linalg.inv(np.eye(3) + error @ edge.information)
+        out.append(replace(edge, information=0.5 * (information + information.T)))
+    return out
+
+
+def with_shared_noise(edges: list[Edge]) -> list[Edge]:
+    """Scan edges that know how many tell of the same noise.
+
+    The noise of one scan enters every edge that it is part of, and moves its pose as one. A graph that takes E edges
+    between K poses as independent says that the mean edge is known E / (K - 1) times as well as it is (the sum of
+    what is left of every edge's variance is K - 1 times its own: Foster 1949). So each edge counts as one of half
+    the edges that meet at its ends, on average.
+    """
+    if not edges:
+        return []
+    ends = np.array([(edge.i, edge.j) for edge in edges])
+    met = np.bincount(ends.ravel())
+    return [replace(edge, shared=max(1.0, 0.25 * float(met[edge.i] + met[edge.j]))) for edge in edges]
 
 
 def _reference(clouds: list[DeskewedScan], world_T_body: FloatArray, members: range) -> CellTable:

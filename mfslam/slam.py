@@ -11,7 +11,7 @@ import numpy as np
 
 from mfslam import refine, se2, trajectory
 from mfslam.config import Config
-from mfslam.deskew import deskew, reference_offset_s
+from mfslam.deskew import acceleration_lever_s2, deskew, reference_offset_s
 from mfslam.frontend import Frontend, Keyframe, Step
 from mfslam.graph import PoseGraph, scan_covariances
 from mfslam.kernels import poses
@@ -249,6 +249,8 @@ class Slam:
             matched = refine.match_neighbours(
                 [k.cloud for k in self.keyframes], world_T_keyframe, pairs, sigma_m, config.icp, config.refine
             )
+            matched = refine.with_motion_errors(matched, self._motion_variances(motions))
+            matched = refine.with_shared_noise(matched)
         with self.clock.time("final solve"):
             chained = {(e.i, e.j) for e in matched}
             kept = [e for e in edges if e.kind != "scan" or (e.j == e.i + 1 and (e.i, e.j) not in chained)]
@@ -271,6 +273,13 @@ class Slam:
         return trajectory.motions_at(
             times, world_T_reference, times + offsets.mean(axis=1) - reference, window_s
         )
+
+    def _motion_variances(self, motions: FloatArray) -> FloatArray:
+        """(K, 3) what may be wrong of a keyframe's pose since its scan was not sensed at once."""
+        scans = [self.scans[k.scan_index] for k in self.keyframes]
+        levers_s2 = np.array([acceleration_lever_s2(scan.laser) for scan in scans])
+        accelerations = motions[[k.scan_index for k in self.keyframes], 3:]
+        return np.square(levers_s2[:, None] * accelerations)
 
     def _solution(self, edges: list[Edge], localise: bool = False) -> Solution:
         world_T_reference = self._scan_poses(self.graph.poses())

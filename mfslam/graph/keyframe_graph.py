@@ -216,7 +216,7 @@ class PoseGraph:
                 return factors.compass_factor(edge.i, float(edge.i_T_j[2]), sigma_rad)
             return factors.gyro_factor(edge.i, edge.j, float(edge.i_T_j[2]), sigma_rad)
         make = factors.wheel_odometry_factor if edge.kind == "odometry" else factors.scan_match_factor
-        factor = make(edge.i, edge.j, edge.i_T_j, edge.information)
+        factor = make(edge.i, edge.j, edge.i_T_j, edge.joint_information)
         if robust:
             noise = factors.robust_noise(factor.noiseModel(), "cauchy", self.config.loop_kernel_sigmas)
             return gtsam.BetweenFactorPose2(edge.i, edge.j, gtsam.Pose2(*edge.i_T_j), noise)
@@ -249,7 +249,7 @@ class PoseGraph:
         ends = np.array([(e.i, e.j) for e in edges], dtype=np.int64).reshape(-1, 2)
         measured = np.array([e.i_T_j for e in edges]).reshape(-1, 3)
         error = se2.between(measured, se2.between(self._poses[ends[:, 0]], self._poses[ends[:, 1]]))
-        information = np.array([e.information for e in edges]).reshape(-1, 3, 3)
+        information = np.array([e.joint_information for e in edges]).reshape(-1, 3, 3)
         chi2 = np.einsum("ni,nij,nj->n", error, information, error)
         robust = np.array([e.kind in ("scan", "loop") for e in edges], dtype=np.bool_)
         return np.where(robust, 1.0 / (1.0 + chi2 / self.config.loop_kernel_sigmas**2), 1.0)

@@ -37,7 +37,8 @@ def plot_cards(result: RunResult, summary: dict[str, Any]) -> str:
         )
         + _card(
             "Residuals against their own noise",
-            "Honest covariances follow the dashed curve; right of it they promise too much, left too little.",
+            "Against the solved graph, not against the truth: where several edges tell the noise of one scan, what is left "
+            "of them lies left of the dashed curve. Right of it they promise too much.",
             line_chart(
                 _histograms(result.edges, residuals), "residual (sigmas)", "share per sigma", _SIGMAS_SHOWN
             ),
