@@ -71,6 +71,8 @@ class Sources:
             out.append(_wheels(wheels, config, clock))
         if lidar is not None:
             out.append(_lidar(lidar, config, clock))
+        for sensor, name in zip(out, [name for name in (self.wheels, self.lidar) if name], strict=True):
+            sensor.health.name = name  # as the user calls it, also where it is simulated
         return out
 
     def _simulate(self, config: Config, stack: ExitStack) -> tuple[str, str | None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -26,13 +27,15 @@ class Entry(NamedTuple):
 
 @dataclass
 class Contents:
-    """What was found in a file. ``pieces`` give plain bytes when called; ``lost`` says in words what is missing."""
+    """What was found in a file. ``pieces`` give plain bytes when called, as long as ``resources`` are open;
+    ``lost`` says in words what is missing."""
 
     ros2: bool
     connections: dict[int, Connection] = field(default_factory=dict)
     entries: list[Entry] = field(default_factory=list)
     pieces: list[Callable[[], bytes]] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
+    resources: ExitStack = field(default_factory=ExitStack)
 
 
 class SalvagedBag:
@@ -51,6 +54,9 @@ class SalvagedBag:
         self.lost = "; ".join(contents.lost)
         self._typestore = _typestore(self.connections, contents.ros2)
         self._piece = lru_cache(maxsize=_PIECES_KEPT)(lambda n: contents.pieces[n]())
+
+    def close(self) -> None:
+        self._contents.resources.close()
 
     def messages(self, connections: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
         """As `AnyReader.messages`."""
@@ -88,7 +94,10 @@ def salvage(paths: Sequence[Path]) -> SalvagedBag | None:
         found = _contents(path)
         if found is not None:
             _append(whole, found, path.name if len(paths) > 1 else "")
-    return SalvagedBag(whole) if whole.entries else None
+    if not whole.entries:
+        whole.resources.close()
+        return None
+    return SalvagedBag(whole)
 
 
 def _contents(path: Path) -> Contents | None:
@@ -114,6 +123,7 @@ def _append(whole: Contents, found: Contents, name: str) -> None:
         e._replace(connection=e.connection + number, piece=e.piece + piece) for e in found.entries
     ]
     whole.pieces += found.pieces
+    whole.resources.enter_context(found.resources)
     whole.lost += [f"{name}: {text}" if name else text for text in found.lost]
 
 

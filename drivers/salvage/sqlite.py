@@ -8,6 +8,7 @@ import sqlite3
 import struct
 import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
@@ -19,7 +20,7 @@ _JOURNALS = ("-wal", "-journal")
 _MISSING = b"\xffmfslam: not in the file\xff"  # stands where pages are missing, so that no row pretends
 
 
-_LARGEST = 1000  # times the file's size: more cannot be missing
+_LARGEST = 20  # times the file's size: more cannot be missing
 
 
 def has_journal(path: Path) -> bool:
@@ -28,28 +29,26 @@ def has_journal(path: Path) -> bool:
 
 
 def read_sqlite(path: Path) -> Contents:
-    """Every row that can be read. The file itself is not touched: sqlite repairs a copy."""
+    """Every row that can be read. The file itself is not touched: sqlite repairs a copy, which lives as long as
+    ``resources`` of the contents."""
     found = Contents(ros2=True)
-    merged = has_journal(path)
-    with tempfile.TemporaryDirectory(prefix="mfslam-") as folder:
-        copy = Path(folder) / "copy.db3"
-        shutil.copyfile(path, copy)
-        for suffix in _JOURNALS:
-            if _size(Path(f"{path}{suffix}")):
-                shutil.copyfile(f"{path}{suffix}", f"{copy}{suffix}")
-        missing = _fill_up(copy)
-        with contextlib.closing(sqlite3.connect(copy)) as database:
-            try:
-                _topics(found, database)
-                rows = {row[0]: row for row in _rows(database)}
-            except sqlite3.Error:
-                return found
-    blobs: list[bytes] = []
-    for _, topic, time_ns, data in sorted(rows.values()):
-        if topic in found.connections and _MISSING not in data:
-            found.entries.append(Entry(time_ns, topic, len(blobs), 0, len(data)))
-            blobs.append(data)
-    found.pieces = [lambda data=data: data for data in blobs]  # type: ignore[misc]
+    folder = Path(found.resources.enter_context(tempfile.TemporaryDirectory(prefix="mfslam-")))
+    copy, merged = folder / "copy.db3", has_journal(path)
+    shutil.copyfile(path, copy)
+    for suffix in _JOURNALS:
+        if _size(Path(f"{path}{suffix}")):
+            shutil.copyfile(f"{path}{suffix}", f"{copy}{suffix}")
+    missing = _fill_up(copy)
+    database = found.resources.enter_context(contextlib.closing(sqlite3.connect(copy)))
+    try:
+        _topics(found, database)
+        rows = {row: (topic, time_ns, size) for row, topic, time_ns, size in _rows(database)}
+    except sqlite3.Error:
+        return found
+    for row, (topic, time_ns, size) in sorted(rows.items()):
+        if topic in found.connections:
+            found.entries.append(Entry(time_ns, topic, len(found.pieces), 0, size))
+            found.pieces.append(partial(_blob, database, row))
     if merged:
         found.lost.append("the recording was cut off: what lay in its journal was read, too")
     if missing:
@@ -57,6 +56,10 @@ def read_sqlite(path: Path) -> Contents:
     if not found.lost:
         found.lost.append("the database is damaged: only some of its rows could be read")
     return found
+
+
+def _blob(database: sqlite3.Connection, row: int) -> bytes:
+    return bytes(database.execute("SELECT data FROM messages WHERE id = ?", (row,)).fetchone()[0])
 
 
 def _size(path: Path) -> int:
@@ -102,13 +105,15 @@ def _topics(found: Contents, database: sqlite3.Connection) -> None:
             found.connections[number] = Connection(number, topic, kind, definition, "", 0, ext, None)
 
 
-def _rows(database: sqlite3.Connection) -> Iterator[tuple[int, int, int, bytes]]:
-    """Rows from the front until one cannot be read, then from the back."""
+def _rows(database: sqlite3.Connection) -> Iterator[tuple[int, int, int, int]]:
+    """Number, topic, time and size of the rows from the front until one cannot be read, then from the back."""
     for order in ("ASC", "DESC"):
         try:
-            yield from database.execute(
+            for row, topic, time_ns, data in database.execute(
                 f"SELECT id, topic_id, timestamp, data FROM messages ORDER BY id {order}"
-            )
+            ):
+                if _MISSING not in data:
+                    yield row, topic, time_ns, len(data)
         except sqlite3.DatabaseError:
             continue
         return

@@ -40,8 +40,11 @@ def test_laser_and_board_share_a_world_and_a_cable_is_pulled(tmp_path: Path) -> 
         np.testing.assert_allclose(scan.ranges_m[values >= 20], values[values >= 20] * 1e-3, atol=1e-6)
         late.append(at - nearest)
     assert abs(np.median(late)) < 5.0  # ms; a busy machine delays single ones
-    whole = [b for b in blocks.values() if b["intact"]]
-    assert len(whole) - len(scans) <= 3
+    # what was under way when the cable was pulled, or when we had enough, may not be read any more
+    last_ms = 1e3 * (scans[-1].stamp_ns * 1e-9 - wall_s)
+    whole = [ms for ms, b in blocks.items() if b["intact"] and ms < last_ms]
+    gap = int(np.argmax(np.diff(whole)))
+    assert sum(whole[gap] - 1000.0 < ms <= whole[gap] for ms in whole) >= len(whole) - len(scans)
     assert any(isinstance(m, WheelTicks) for m in wheels)
 
 
