@@ -31,30 +31,37 @@ class BagReader:
         self._stack = ExitStack()
         self.last_bag_time_ns = 0
         with self._told_in_one_line():
-            self._reader = self._opened(self._files())
+            self._files = self._found_files()
+            self._reader = self._opened()
             self.connections: list[Connection] = list(self._reader.connections)
             self.start_ns, self.end_ns = (
                 (self._reader.start_time, self._reader.end_time) if self._reader.message_count else (0, 0)
             )
 
-    def _opened(self, files: list[Path]) -> AnyReader | SalvagedBag:
+    def _opened(self) -> AnyReader | SalvagedBag:
         """By its index; where that does not do, by whatever is whole in it."""
         try:
-            if any(file.suffix == ".db3" and has_journal(file.resolve()) for file in files):
+            if any(file.suffix == ".db3" and has_journal(file.resolve()) for file in self._files):
                 raise ReaderError("messages lie in a journal beside it")
             # bags that were written without message definitions hold standard messages
-            reader = AnyReader(files, default_typestore=get_typestore(Stores.LATEST))
+            reader = AnyReader(self._files, default_typestore=get_typestore(Stores.LATEST))
             return self._stack.enter_context(reader)
         except Exception:
-            found = salvage(
-                [path for file in files for path in ([file] if file.is_file() else _stored(file))]
-            )
+            found = self._salvaged()
             if found is None:
                 raise
-            self._findings.add(
-                "salvaged", f"salvaged {found.message_count} messages: {found.lost}", self.path.name
-            )
             return found
+
+    def _salvaged(self) -> SalvagedBag | None:
+        """What is whole in the bag, with a finding; None where that is nothing."""
+        found = salvage(
+            [path for file in self._files for path in ([file] if file.is_file() else _stored(file))]
+        )
+        if found is not None:
+            self._stack.callback(found.close)
+            text = f"salvaged {found.message_count} messages: {found.lost}"
+            self._findings.add("salvaged", text, self.path.name)
+        return found
 
     def close(self) -> None:
         self._stack.close()
@@ -69,13 +76,13 @@ class BagReader:
     def messages(self, connections: Sequence[Connection]) -> Iterator[tuple[str, int, Any]]:
         """(topic, bag time in ns, message) in the bag's order. Messages that cannot be decoded are counted.
 
-        A bag that turns out to be damaged ends early, with a finding; if nothing at all could be read of
-        it, that is an MfslamError.
+        A bag that turns out to be damaged is read on as far as it is whole, with findings; if nothing at all
+        could be read of it, that is an MfslamError.
         """
         if not connections:
             return
-        n_read = 0
-        source = self._reader.messages(connections=connections)
+        n_read, time_ns = 0, -1
+        source: Iterator[tuple[Connection, int, bytes]] = self._reader.messages(connections=connections)
         while True:
             try:
                 connection, time_ns, raw = next(source)
@@ -86,6 +93,10 @@ class BagReader:
                     self._findings.add("messages-missing", text, self.path.name, missing)
                 return
             except Exception as error:
+                rest = self._rest(connections, time_ns)
+                if rest is not None:
+                    source = rest
+                    continue
                 if not n_read:
                     raise MfslamError(f"{self.path}: cannot be read: {_first_line(error)}") from None
                 text = f"the bag is damaged ({_first_line(error)}): read up to there"
@@ -101,7 +112,17 @@ class BagReader:
                 continue
             yield connection.topic, time_ns, message
 
-    def _files(self) -> list[Path]:
+    def _rest(
+        self, connections: Sequence[Connection], time_ns: int
+    ) -> Iterator[tuple[Connection, int, bytes]] | None:
+        """What can be salvaged of the messages after ``time_ns``; None where that was tried already."""
+        found = None if isinstance(self._reader, SalvagedBag) else self._salvaged()
+        if found is None:
+            return None
+        self._reader = found
+        return (entry for entry in found.messages(connections) if entry[1] > time_ns)
+
+    def _found_files(self) -> list[Path]:
         """What rosbags is to open: it goes by suffix, we go by content."""
         if not self.path.is_dir():
             return [self._with_suffix(self.path)]

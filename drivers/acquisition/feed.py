@@ -6,7 +6,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -16,6 +15,7 @@ from typing import Self
 
 from drivers.acquisition.messages import Ended, Health, Unpacker
 from drivers.acquisition.sources import Sources
+from drivers.own_process import command, environment
 from mfslam.config import Config
 from mfslam.types import Findings, Message, MfslamError
 
@@ -48,7 +48,8 @@ class AcquisitionFeed:
         ours, theirs = socket.socketpair()
         # not multiprocessing's: it would import the caller's main module again, and with it what that imports
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "drivers.acquisition", str(theirs.fileno())],
+            command("drivers.acquisition", str(theirs.fileno())),
+            env=environment(),
             pass_fds=(theirs.fileno(),),
             start_new_session=True,  # Ctrl-C is ours to answer
         )

@@ -59,8 +59,9 @@ class SalvagedBag:
         self._contents.resources.close()
 
     def messages(self, connections: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        """As `AnyReader.messages`."""
-        wanted = {c.id: c for c in connections}
+        """As `AnyReader.messages`; connections are told by their topics."""
+        topics = {c.topic for c in connections}
+        wanted = {c.id: c for c in self.connections if c.topic in topics}
         for entry in self._contents.entries:
             connection = wanted.get(entry.connection)
             if connection is not None:

@@ -31,7 +31,7 @@ def has_journal(path: Path) -> bool:
 def read_sqlite(path: Path) -> Contents:
     """Every row that can be read. The file itself is not touched: sqlite repairs a copy, which lives as long as
     ``resources`` of the contents."""
-    found = Contents(ros2=True)
+    found, path = Contents(ros2=True), path.resolve()  # its journal lies beside the file, not beside a link
     folder = Path(found.resources.enter_context(tempfile.TemporaryDirectory(prefix="mfslam-")))
     copy, merged = folder / "copy.db3", has_journal(path)
     shutil.copyfile(path, copy)

@@ -22,6 +22,7 @@ from drivers.acquisition.feed import AcquisitionFeed
 from drivers.acquisition.pump import Pump
 from drivers.acquisition.sources import Sources
 from drivers.logs import open_log
+from drivers.own_process import command, environment
 from drivers.scip.sensor import UrgSensor
 from drivers.simulator import RobotModel, laser_model, load_world, simulate
 from drivers.simulator.devices.serve import Cast, SimulatedSensors
@@ -44,8 +45,8 @@ def scans_of(messages: list[Message]) -> list[Scan]:
 
 
 def record(*more: str, **options: object) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "mfslam.cli", "record", *more]
-    return subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **options)  # type: ignore[call-overload,no-any-return]
+    arguments = [sys.executable, "-m", "mfslam.cli", "record", *more]
+    return subprocess.Popen(arguments, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **options)  # type: ignore[call-overload,no-any-return]
 
 
 def wait_for_size(path: Path, size: int) -> None:
@@ -179,6 +180,18 @@ def test_what_is_not_there_is_one_line_and_no_file(tmp_path: Path, arguments: li
     _, error = process.communicate(timeout=60)
     assert process.returncode == 1 and told in error and len(error.splitlines()) == 1
     assert not path.exists()
+
+
+def test_a_folder_of_the_users_hides_no_package_of_ours(tmp_path: Path) -> None:
+    (tmp_path / "drivers").mkdir()
+    (tmp_path / "drivers" / "__init__.py").touch()
+    arguments = command(
+        "mfslam.cli", "record", "--lidar", "sim:nowhere", "-o", str(tmp_path / "log.mcap"), "-q"
+    )
+    done = subprocess.run(
+        arguments, env=environment(), cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert "no world" in done.stderr
 
 
 # --- a process of its own -----------------------------------------------------------------------------

@@ -155,6 +155,26 @@ def test_a_folder_without_metadata(tmp_path: Path, bags: dict[str, Path]) -> Non
     assert len(scans) == COUNT and "no-metadata" in findings and "salvaged" not in findings
 
 
+def test_a_bag_is_read_on_after_a_damaged_chunk(tmp_path: Path) -> None:
+    """Its index is whole, so that it opens; the damage shows on the way."""
+    path, store = tmp_path / "log.bag", get_typestore(Stores.ROS1_NOETIC)
+    bag = Writer(path)
+    bag.set_compression(Writer.CompressionFormat.BZ2)
+    bag.chunk_threshold = 10_000
+    with bag:
+        connection = bag.add_connection("/scan", SCAN, typestore=store)
+        for _, _, message, time_ns in entries("ros1"):
+            bag.write(connection, time_ns, store.serialize_ros1(message, SCAN))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 8] = bytes(8)
+    path.write_bytes(data)
+    scans, findings = read(path)
+    check(scans)
+    assert 0.8 * COUNT < len(scans) < COUNT and "cannot be unpacked" in text_of(findings)
+    assert np.all(np.diff([s.stamp_ns for s in scans]) > 0)
+    assert "messages-missing" in findings
+
+
 def test_nothing_to_salvage_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     path.write_bytes(b"\x89MCAP0\r\n" + b"\x00" * 100)

@@ -20,6 +20,7 @@ from typing import IO, Literal, Self
 
 from pydantic import TypeAdapter
 
+from drivers.own_process import command, environment
 from drivers.simulator.devices.wire import Device, LineFaults, Wire
 from mfslam.types import MfslamError
 
@@ -56,7 +57,8 @@ class SimulatedSensors:
         self._folder = tempfile.TemporaryDirectory(prefix="mfslam-sim-")
         self.folder = Path(self._folder.name)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "drivers.simulator.devices.serve", str(self.folder)],
+            command("drivers.simulator.devices.serve", str(self.folder)),
+            env=environment(),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
