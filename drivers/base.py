@@ -74,7 +74,7 @@ class SensorHealth:
 
     ``rate_hz``, ``delay_s``: of the latest messages, ``delay_s`` from the stamp to the arrival. ``errors``:
     what went wrong, counted by kind. ``reconnects``: times the line was lost and found again. ``text``: what
-    it is doing now, in words.
+    it is doing now, in words. ``advice``: what its user could do better.
     """
 
     name: str
@@ -86,6 +86,7 @@ class SensorHealth:
     reconnects: int = 0
     errors: Counter[str] = field(default_factory=Counter)
     text: str = "starting"
+    advice: str = ""
     _pace_s: float = 0.0
 
     def saw(self, stamp_ns: int, delay_s: float) -> None:
@@ -114,6 +115,7 @@ class SensorHealth:
             "reconnects": self.reconnects,
             "errors": {kind: n for kind, n in sorted(self.errors.items()) if n},
             "text": self.text,
+            "advice": self.advice,
         }
 
 

@@ -103,6 +103,8 @@ class Pump:
             for kind, count in sorted(health.errors.items()):
                 if count:
                     self.findings.add(f"sensor-{kind}", f"{health.name}: {kind}", count=count)
+            if health.advice:
+                self.findings.add(f"advice-{health.name}", f"{health.name}: {health.advice}")
             if health.reconnects:
                 text = f"{health.name}: the line was lost and found again"
                 self.findings.add(f"reconnect-{health.name}", text, count=health.reconnects)

@@ -124,13 +124,23 @@ class UrgSensor(LiveSensor):
                 self.health.errors["sensor-clock-set-anew"] += 1
                 session.clock = ClockSync(TICK_S, session.clock.least_delay_s)
                 session.clock.arrival(device_s, raw.received_s)
-            if pace.saw(device_s):
+            changed = pace.saw(device_s)
+            self._tell_missing(pace, geometry)
+            if changed:
                 laser = geometry.laser(self._config, pace.period_s)
             # the timer rounds down
             sensed_s = session.clock.host_s(device_s + 0.5 * TICK_S)
             first_s = sensed_s + geometry.first_beam_s(pace.period_s, self._settings)
             self.health.saw(self.clock.stamp_ns(first_s), raw.received_s - first_s)
             yield Scan(self.clock.stamp_ns(first_s), self._ranges(raw, parameters, laser), laser)
+
+    def _tell_missing(self, pace: _Pace, geometry: Geometry) -> None:
+        """Scans that the line has no time for are no error of one scan, but worth a word."""
+        wanted = PACE_SCANS - PACE_SCANS * geometry.window.skip // (1 + geometry.window.skip)
+        lost = pace.missing - (PACE_SCANS - wanted)
+        if pace.missing and lost > 0.2 * wanted and not self.health.errors["line-too-slow"]:
+            self.health.errors["line-too-slow"] = 1
+            self.health.advice = f"{lost} of {wanted} scans do not get through: try scip.baud=250000 or more, or scip.cluster=2"
 
     def _least_delay_s(self, geometry: Geometry, period_s: float, baud: int | None) -> float:
         """From step 0 to the arrival of the last byte: the turn to the last step, and the bytes' way."""
@@ -149,28 +159,31 @@ class UrgSensor(LiveSensor):
 
 
 class _Pace:
-    """The mirror's true period, from the sensor's own timestamps."""
+    """The mirror's true period, from the sensor's own timestamps; and how many of its scans get through."""
 
     def __init__(self, told_s: float) -> None:
         self.period_s = told_s
-        self._since: tuple[float, int] | None = None
-        self._last_s = 0.0
+        self.missing = 0  # scans of the latest PACE_SCANS turns
+        self._start_s = self._last_s = 0.0
+        self._turns = self._scans = -1  # of this stretch; -1: none begun
 
     def saw(self, device_s: float) -> bool:
         """A scan began at ``device_s``. True where the period is found to be another than was thought."""
-        if self._since is None:
-            self._since = (device_s, 0)
-        else:
-            start_s, turns = self._since
-            step = round((device_s - self._last_s) / self.period_s)  # scans may be missing between
-            self._since = (start_s, turns + step) if 0 < step < 20 else (device_s, 0)
+        step = round((device_s - self._last_s) / self.period_s)
         self._last_s = device_s
-        start_s, turns = self._since
-        if turns < PACE_SCANS:
+        if self._turns < 0 or not 0 < step < 20:  # the first, or a pause
+            self._begin(device_s)
             return False
-        found_s = (device_s - start_s) / turns
-        self._since = (device_s, 0)
+        self._turns, self._scans = self._turns + step, self._scans + 1
+        if self._turns < PACE_SCANS:
+            return False
+        found_s = (device_s - self._start_s) / self._turns
+        self.missing = self._turns - self._scans
+        self._begin(device_s)
         if abs(found_s / self.period_s - 1.0) < PACE_TOLERANCE or not 0.8 < found_s / self.period_s < 1.25:
             return False
         self.period_s = found_s
         return True
+
+    def _begin(self, device_s: float) -> None:
+        self._start_s, self._turns, self._scans = device_s, 0, 0
