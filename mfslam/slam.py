@@ -143,7 +143,7 @@ class Slam:
             prev_T_body = poses.between(previous.local_T_body, keyframe.local_T_body)
             edges = list(self._sequential_edges(previous, keyframe, step))
             self.graph.add_keyframe(prev_T_body, edges)
-            self.loops.uncertainty.add(edges[0], torn=step.blind_s > 0.0)
+            self.loops.uncertainty.add(edges[:1] if step.blind_s > 0.0 else edges, torn=step.blind_s > 0.0)
         if self.loops.due():
             self._close_loops()
 
@@ -186,7 +186,7 @@ class Slam:
             loops = self.loops.search(world_T_body, self.graph.relative_covariance, sigma_m)
         for loop in loops:
             self.graph.add_edge(loop.edge())
-            self.loops.uncertainty.add(loop.edge())
+            self.loops.uncertainty.add([loop.edge()])
         if loops:
             self._settle_disputes()
 
@@ -197,7 +197,7 @@ class Slam:
         for edge in out:
             self.loops.uncertainty.remove(edge)
         for edge in back:
-            self.loops.uncertainty.add(edge)
+            self.loops.uncertainty.add([edge])
         self.loops.statistics.taken_out += len(out)
         self.loops.statistics.brought_back += len(back)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -24,10 +25,12 @@ class RelativeUncertainty:
         self._newest = array("q")  # end of each keyframe, -1: none
         self._older = array("q")  # for each end the one before it at the same keyframe
 
-    def add(self, edge: Edge, torn: bool = False) -> None:
-        """Take note of an edge between two keyframes; ``torn``: nobody watched the robot between them, and
-        what the edge leaves open is open."""
-        covariance = np.linalg.inv(edge.information + (0.0 if torn else LEAST_KNOWN))
+    def add(self, edges: Sequence[Edge], torn: bool = False) -> None:
+        """Take note of what ties two keyframes: a loop, or match and wheels of a step. ``torn``: nobody watched
+        the robot between them, and what the edges leave open is open."""
+        edge = edges[0]
+        known = np.sum([e.information for e in edges if e.kind != "heading"], axis=0)
+        covariance = np.linalg.inv(known + (0.0 if torn else LEAST_KNOWN))
         self._newest.extend([-1] * (max(edge.i, edge.j) + 1 - len(self._newest)))
         for keyframe in (edge.i, edge.j):
             self._older.append(self._newest[keyframe])

@@ -75,13 +75,13 @@ def drive(truth, world_at, drift=(0.0, 0.0, 0.0), sigma=SIGMA, config=None, beli
             continue
         edge = Edge("scan", k - 1, k, steps[k - 1], np.diag(np.asarray(sigma) ** -2.0))
         graph.add_keyframe(steps[k - 1], [edge])
-        closer.uncertainty.add(edge)
+        closer.uncertainty.add([edge])
         if closer.due():
             for loop in closer.search(graph.poses(), graph.relative_covariance, 0.01):
                 found.append(loop)
                 if believe:
                     graph.add_edge(loop.edge())
-                    closer.uncertainty.add(loop.edge())
+                    closer.uncertainty.add([loop.edge()])
     return found, closer, graph
 
 
