@@ -244,16 +244,8 @@ class Frontend:
     ) -> Step:
         """Place a scan before which nobody watched the robot for a while: where alone it looks like the
         recent map, or, without such a place, at the beginning of a new map that loops may join."""
-        config = self.config
         guess = poses.compose(self.local_T_body, predicted)
-        place = self._recent_map(guess)
-        match = None
-        if place is not None:
-            found = recovery.only_place(place, cloud.points_m, guess, blind_s, config.frontend)
-            if found is not None:
-                match = self._match(scan, cloud, found, NOTHING_KNOWN, free=True)
-                if match.inlier_ratio < config.frontend.min_inlier_ratio:
-                    match = None
+        match = self._only_fit(scan, cloud, guess, blind_s)
         if match is None:
             self.local_T_body = guess
             self.recent.clear()
@@ -265,6 +257,23 @@ class Frontend:
             self.local_T_body, match, True, searched=True, odometry_jump=motion.step is not None,
             blind_s=blind_s, found=match is not None,
         )  # fmt: skip
+
+    def _only_fit(self, scan: Scan, cloud: DeskewedScan, guess: FloatArray, blind_s: float) -> Match | None:
+        """The fit of a scan within reach of ``guess``, if it is a good one and none elsewhere comes near it."""
+        place = self._recent_map(guess)
+        if place is None:
+            return None
+        found = recovery.places_within_reach(place, cloud.points_m, guess, blind_s, self.config.frontend)
+        fits = [self._match(scan, cloud, pose, NOTHING_KNOWN, free=True) for pose in found]
+        fits.sort(key=lambda fit: -fit.inlier_ratio)
+        if not fits or fits[0].inlier_ratio < self.config.frontend.min_inlier_ratio:
+            return None
+        for rival in fits[1:]:
+            off = poses.between(fits[0].ref_T_src, rival.ref_T_src)
+            elsewhere = math.hypot(off[0], off[1]) > 0.3 or abs(off[2]) > 0.1
+            if elsewhere and rival.inlier_ratio > fits[0].inlier_ratio - recovery.FAR_MARGIN:
+                return None
+        return fits[0]
 
     def _add_keyframe(self, index: int, cloud: DeskewedScan) -> None:
         self.recent.append(Keyframe(index, cloud, self.local_T_body))

@@ -16,7 +16,7 @@ from mfslam.config import Config
 from mfslam.frontend import Keyframe
 from mfslam.kernels import poses
 from mfslam.places import Place, PlaceMemory
-from mfslam.search import search
+from mfslam.search import MAX_HYPOTHESES, hypotheses, search
 from mfslam.types import Edge, FloatArray, Match
 from mfslam.uncertainty import RelativeUncertainty
 
@@ -44,6 +44,15 @@ class Loop:
 
     def edge(self) -> Edge:
         return Edge("loop", self.i, self.j, self.match.ref_T_src, self.match.information)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Fit:
+    """One way in which the query may stand in a place; ``refused``: why it is not to be believed."""
+
+    match: Match
+    score: float
+    refused: str | None
 
 
 @dataclass
@@ -192,60 +201,64 @@ class LoopCloser:
             window_m = min(window_m, config.reach_m)
             if distance > config.reach_m:
                 center[:2] *= max(0.0, 1.0 - window_m / distance)
-        search_map = maps[1] if wide else maps[0]
-        found, score = search(search_map, points, center, window_m, candidate.window_rad, config.min_score)
-        if score == 0.0:
-            self.statistics.refuse("no match in the window")
-            return None
         if wide:
-            avoid = np.array([found[0], found[1], 1.0])
-            rival = search(
-                search_map,
+            found = hypotheses(
+                maps[1],
                 points,
                 center,
                 window_m,
                 candidate.window_rad,
-                config.ambiguous_score * score,
-                avoid,
-            )[1]
-            if rival > 0.0:
-                self.statistics.refuse("ambiguous")
-                return None
-            found, score = search(maps[0], points, found, 0.3, 0.06, config.min_score)
-            if score == 0.0:
-                self.statistics.refuse("no match in the window")
-                return None
-        match = icp.register(
-            place.table, points, np.ascontiguousarray(query.surface[:, 2:]), found, range_sigma_m,
-            self.icp_config, search_radius_m=0.3,
-        )  # fmt: skip
-        if not self._verified(place, query, match, wide):
+                config.min_score,
+                config.ambiguous_score,
+            )
+            found = [search(maps[0], points, pose, 0.3, 0.06, config.min_score) for pose, _ in found]
+        else:
+            found = [search(maps[0], points, center, window_m, candidate.window_rad, config.min_score)]
+        found = [(pose, score) for pose, score in found if score > 0.0]
+        if not found:
+            self.statistics.refuse("no match in the window")
+            return None
+        if len(found) > MAX_HYPOTHESES:
+            self.statistics.refuse("ambiguous")
+            return None
+        fits = [self._fit(place, query, pose, score, wide, range_sigma_m) for pose, score in found]
+        # one that only sees too little is no less likely for that
+        standing = [fit for fit in fits if fit.refused not in ("contradicted by free space", "poor fit")]
+        best = max(standing or fits, key=lambda fit: fit.score)
+        if any(_apart(best.match.ref_T_src, fit.match.ref_T_src) for fit in standing):
+            self.statistics.refuse("ambiguous")
+            return None
+        if best.refused is not None:
+            self.statistics.refuse(best.refused)
             return None
         floor = (config.sigma_floor_m, math.radians(config.sigma_floor_deg))
-        match = replace(match, information=icp.with_floor(match.information, *floor))
-        return Loop(place.anchor, query.anchor, match, candidate.window_m, score)
+        match = replace(best.match, information=icp.with_floor(best.match.information, *floor))
+        return Loop(place.anchor, query.anchor, match, candidate.window_m, best.score)
 
-    def _verified(self, place: Place, query: Place, match: Match, wide: bool) -> bool:
-        """Enough in common, what is in common fits closely, and nothing stands in seen free space."""
+    def _fit(
+        self, place: Place, query: Place, pose: FloatArray, score: float, wide: bool, range_sigma_m: float
+    ) -> _Fit:
+        match = icp.register(
+            place.table, np.ascontiguousarray(query.surface[:, :2]), np.ascontiguousarray(query.surface[:, 2:]),
+            pose, range_sigma_m, self.icp_config, search_radius_m=0.3,
+        )  # fmt: skip
+        return _Fit(match, score, self._refusal(place, query, match, wide))
+
+    def _refusal(self, place: Place, query: Place, match: Match, wide: bool) -> str | None:
+        """Why a match is not to be believed; None where enough is in common, what is in common fits closely,
+        and nothing stands in seen free space."""
         config = self.config
         there, seen_there = place.agreement(match.ref_T_src, query.surface)
         back, seen_back = query.agreement(poses.between(match.ref_T_src, np.zeros(3)), place.surface)
         if max(seen_there, seen_back) < config.min_coverage or min(seen_there, seen_back) < 0.2:
-            self.statistics.refuse("too little in common")
-            return False
-        if min(there, back) < (config.wide_agreement if wide else config.min_agreement) - 0.1 or 0.5 * (
-            there + back
-        ) < (config.wide_agreement if wide else config.min_agreement):
-            self.statistics.refuse("contradicted by free space")
-            return False
+            return "too little in common"
+        wanted = config.wide_agreement if wide else config.min_agreement
+        if min(there, back) < wanted - 0.1 or 0.5 * (there + back) < wanted:
+            return "contradicted by free space"
         if np.linalg.eigvalsh(match.information[:2, :2])[0] < config.max_sigma_m**-2:
-            self.statistics.refuse("open in a direction")
-            return False
+            return "open in a direction"
         wanted = config.wide_inlier_ratio if wide else config.min_inlier_ratio
-        if match.inlier_ratio < wanted * seen_there:
-            self.statistics.refuse("poor fit")
-            return False
-        return True
+        return "poor fit" if match.inlier_ratio < wanted * seen_there else None
 
     def _unambiguous(self, found: list[Loop], world_T_body: FloatArray) -> list[Loop]:
         """Loops from wide windows must not tell of two places for one scan."""
@@ -257,8 +270,7 @@ class LoopCloser:
         here = poses.compose(world_T_body[best.i], best.match.ref_T_src)
         kept = []
         for loop in wide:
-            apart = poses.between(here, poses.compose(world_T_body[loop.i], loop.match.ref_T_src))
-            if math.hypot(apart[0], apart[1]) < 1.0 and abs(apart[2]) < 0.1:
+            if not _apart(here, poses.compose(world_T_body[loop.i], loop.match.ref_T_src), 1.0):
                 kept.append(loop)
             elif loop.score > self.config.ambiguous_score * best.score:
                 self.statistics.refuse("ambiguous")
@@ -312,6 +324,12 @@ class LoopCloser:
         error = poses.between(over_old, over_new)
         path_m = travelled + apart
         return math.hypot(error[0], error[1]) < 0.15 + 0.02 * path_m and abs(error[2]) < 0.02 + 0.003 * path_m
+
+
+def _apart(a: FloatArray, b: FloatArray, limit_m: float = 0.3) -> bool:
+    """Whether two poses (3,) are two hypotheses."""
+    off = poses.between(a, b)
+    return math.hypot(off[0], off[1]) > limit_m or abs(off[2]) > 0.1
 
 
 def chi2_quantile(probability: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mfslam.config import FrontendConfig
 from mfslam.kernels import poses
-from mfslam.search import SearchMap, search
+from mfslam.search import MAX_HYPOTHESES, SearchMap, hypotheses, search
 from mfslam.types import FloatArray
 
 MAX_ACCELERATION = np.array([2.0, 0.5, 4.0])  # of a robot whose wheels are not known (m/s^2, rad/s^2)
@@ -20,7 +20,7 @@ BLIND_S = 0.5  # without wheels and without a fit for longer, the robot may be a
 COAST_S = 1.0  # a robot is not held to go on as it did for longer
 NEAR_M, NEAR_RAD = 0.42, 0.6  # of a slip of wheels that else told the truth
 NEAR_MARGIN, FAR_MARGIN = 0.08, 0.2  # by so much of its points a fit elsewhere has to be better
-MIN_SCORE, AMBIGUOUS_SCORE, RIVAL_M = 0.4, 0.9, 1.0
+MIN_SCORE = 0.4
 
 
 def free_motion_sigmas(dt_s: float) -> FloatArray:
@@ -77,16 +77,12 @@ def likely_places(
             yield found, margin
 
 
-def only_place(
+def places_within_reach(
     recent: SearchMap, points_m: FloatArray, center: FloatArray, blind_s: float, config: FrontendConfig
-) -> FloatArray | None:
-    """The one pose (3,) within reach at which the points look like the recent map; None where there is
-    none, or another one elsewhere."""
+) -> list[FloatArray]:
+    """Poses (3,) within reach at which the points look like the recent map, the likeliest first; none where
+    it looks like that all over the place."""
     half_m, half_rad = reach(blind_s)
-    window = (min(half_m, config.search_window_m), min(half_rad, math.radians(config.search_angle_deg)))
-    found, score = search(recent, points_m, center, *window, MIN_SCORE)
-    if score == 0.0:
-        return None
-    avoid = np.array([found[0], found[1], RIVAL_M])
-    rival = search(recent, points_m, center, *window, AMBIGUOUS_SCORE * score, avoid)[1]
-    return None if rival > 0.0 else found
+    window = min(half_m, config.search_window_m), min(half_rad, math.radians(config.search_angle_deg))
+    found = hypotheses(recent, points_m, center, *window, MIN_SCORE)
+    return [pose for pose, _ in found] if len(found) <= MAX_HYPOTHESES else []

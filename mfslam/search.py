@@ -11,7 +11,8 @@ import numpy.typing as npt
 from mfslam.kernels import correlate
 from mfslam.types import FloatArray
 
-NOTHING_AVOIDED = np.zeros(3)
+NOTHING_AVOIDED = np.zeros((0, 4))
+MAX_HYPOTHESES, ELSEWHERE_M = 3, 1.0
 MAX_POINTS = 150  # more points sharpen a coarse search no further
 
 
@@ -48,8 +49,8 @@ def search(
 ) -> tuple[FloatArray, float]:
     """Best pose (3,) of a point set within the window about ``center``, and its score, 0 to 1.
 
-    The score is 0 where nothing reached ``min_score``. ``avoid`` (x, y, radius): no answer from inside
-    that circle, to ask for the runner-up.
+    The score is 0 where nothing reached ``min_score``. ``avoid`` (N, 4), rows x, y, theta, radius: no answer from
+    there, to ask for the runner-up.
     """
     if not len(points_m):
         return center, 0.0
@@ -63,6 +64,32 @@ def search(
         place.levels, place.origin_m, place.cell_m, points, center, angles, half_window_m, min_score, avoid
     )
     return pose, score
+
+
+def hypotheses(
+    place: SearchMap,
+    points_m: FloatArray,
+    center: FloatArray,
+    half_window_m: float,
+    half_window_rad: float,
+    min_score: float,
+    rival_share: float = 0.9,
+) -> list[tuple[FloatArray, float]]:
+    """The best pose (3,) and, best first, all elsewhere with ``rival_share`` of its score at least, with scores.
+
+    At most ``MAX_HYPOTHESES`` + 1: that many say that a place looks alike wherever one stands in it.
+    """
+    out: list[tuple[FloatArray, float]] = []
+    avoid = NOTHING_AVOIDED
+    least = min_score
+    while len(out) <= MAX_HYPOTHESES:
+        pose, score = search(place, points_m, center, half_window_m, half_window_rad, least, avoid)
+        if score == 0.0:
+            break
+        out.append((pose, score))
+        avoid = np.vstack([avoid, [*pose, ELSEWHERE_M]])
+        least = rival_share * out[0][1]
+    return out
 
 
 def thin_evenly(points_m: FloatArray, count: int) -> FloatArray:

@@ -9,7 +9,7 @@ import pytest
 import rooms
 
 from mfslam import se2
-from mfslam.search import MAX_POINTS, SearchMap, search, thin_evenly
+from mfslam.search import MAX_POINTS, SearchMap, hypotheses, search, thin_evenly
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def test_nothing_is_found_where_nothing_fits(place):
 def test_the_runner_up_lies_outside_of_the_circle_and_scores_less(place):
     points, _ = rooms.oriented_points(rooms.ROOM, rooms.ROOM_PILLARS, np.zeros(3), 0.01, seed=2)
     best, score = search(place, points, np.zeros(3), 1.2, 0.3, 0.2)
-    second, rival = search(place, points, np.zeros(3), 1.2, 0.3, 0.2, np.array([best[0], best[1], 0.5]))
+    second, rival = search(place, points, np.zeros(3), 1.2, 0.3, 0.2, np.array([[*best, 0.5]]))
     assert math.hypot(second[0] - best[0], second[1] - best[1]) >= 0.5
     assert 0.2 < rival < 0.9 * score
 
@@ -54,9 +54,20 @@ def test_two_equal_rooms_are_two_answers():
     here, _ = rooms.oriented_points(world, rooms.NO_PILLARS, np.zeros(3))
     place = SearchMap.of(here, np.zeros(2), 15.0, 0.1)
     near = here[np.abs(here[:, 0]) < 3.5]
-    best, score = search(place, near, np.zeros(3), 6.0, 0.05, 0.3)
-    _, rival = search(place, near, np.zeros(3), 6.0, 0.05, 0.3, np.array([best[0], best[1], 1.0]))
+    (_, score), (_, rival), *_ = hypotheses(place, near, np.zeros(3), 6.0, 0.05, 0.3, 0.7)
     assert rival > 0.7 * score
+
+
+def test_turned_about_where_it_stands_is_another_answer():
+    """A square room looks the same in four directions from its middle; all four are told, and no more."""
+    corners = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]])
+    world = np.hstack([corners, np.roll(corners, -1, axis=0)])
+    here, _ = rooms.oriented_points(world, rooms.NO_PILLARS, np.zeros(3))
+    place = SearchMap.of(here, np.zeros(2), 15.0, 0.1)
+    found = hypotheses(place, here, np.zeros(3), 0.5, math.pi, 0.4)
+    turned = sorted(round(math.degrees(pose[2])) % 360 for pose, _ in found)
+    np.testing.assert_allclose(turned, [0, 90, 180, 270], atol=3)
+    assert [score for _, score in found] == sorted((score for _, score in found), reverse=True)
 
 
 def test_points_out_of_reach_are_no_part_of_a_place():

@@ -8,6 +8,7 @@ from numba import njit
 
 from mfslam.types import FloatArray, IntArray
 
+SAME_HEADING = math.cos(0.5)
 ByteArray = npt.NDArray[np.uint8]
 
 
@@ -76,6 +77,15 @@ def _four_scores(
 
 
 @njit(cache=True, nogil=True)
+def _is_avoided(avoid: FloatArray, x: float, y: float, theta: float) -> bool:
+    for n in range(avoid.shape[0]):
+        dx, dy = x - avoid[n, 0], y - avoid[n, 1]
+        if dx * dx + dy * dy < avoid[n, 3] * avoid[n, 3] and math.cos(theta - avoid[n, 2]) > SAME_HEADING:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
 def branch_and_bound(
     levels: ByteArray,
     origin: FloatArray,
@@ -139,10 +149,8 @@ def branch_and_bound(
             h, a, ox, oy = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
             if h == 0:
                 px, py = center[0] + ox * cell, center[1] + oy * cell
-                if avoid[2] > 0.0:
-                    ax, ay = px - avoid[0], py - avoid[1]
-                    if ax * ax + ay * ay < avoid[2] * avoid[2]:
-                        continue
+                if _is_avoided(avoid, px, py, center[2] + angles[a]):
+                    continue
                 best = float(stack[depth, 4])
                 found = best / perfect
                 pose[0], pose[1], pose[2] = px, py, center[2] + angles[a]

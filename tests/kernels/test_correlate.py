@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mfslam.kernels import correlate
 
 CELL_M = 0.1
-NOTHING_AVOIDED = np.zeros(3)
+NOTHING_AVOIDED = np.zeros((0, 4))
 
 
 def test_likelihood_is_a_gaussian_of_the_distance_to_the_nearest_point():
@@ -75,8 +75,8 @@ def test_search_is_exhaustive(seed, levels, half_window, min_score, avoiding):
     avoid = NOTHING_AVOIDED
     if avoiding:
         best_pose = max(scores, key=scores.__getitem__)
-        avoid = np.array([best_pose[0], best_pose[1], 0.15])
-        scores = {p: s for p, s in scores.items() if math.hypot(p[0] - avoid[0], p[1] - avoid[1]) >= 0.15}
+        avoid = np.array([[*best_pose, 0.15]])  # all angles are within half a rad of it
+        scores = {p: s for p, s in scores.items() if math.dist(p[:2], best_pose[:2]) >= 0.15}
     best = max(scores.values(), default=0.0)
     pose, found = correlate.branch_and_bound(
         correlate.pyramid(grid, levels), origin, CELL_M, points, center, angles, half_window, min_score, avoid
