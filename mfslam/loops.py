@@ -18,7 +18,7 @@ from mfslam.kernels import poses
 from mfslam.places import Place, PlaceMemory
 from mfslam.search import MAX_HYPOTHESES, hypotheses, search
 from mfslam.types import Edge, FloatArray, Match
-from mfslam.uncertainty import RelativeUncertainty
+from mfslam.uncertainty import RelativeUncertainty, chi2_quantile
 
 GAP_M = 100.0  # driven, as it were, where nothing ties two keyframes: what is within so much is rigid
 
@@ -330,10 +330,3 @@ def _apart(a: FloatArray, b: FloatArray, limit_m: float = 0.3) -> bool:
     """Whether two poses (3,) are two hypotheses."""
     off = poses.between(a, b)
     return math.hypot(off[0], off[1]) > limit_m or abs(off[2]) > 0.1
-
-
-def chi2_quantile(probability: float) -> float:
-    """Quantile of chi2 with three degrees of freedom."""
-    from scipy.special import chdtri
-
-    return float(chdtri(3, 1.0 - probability))

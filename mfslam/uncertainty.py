@@ -59,3 +59,10 @@ class RelativeUncertainty:
             np.frombuffer(self._variances).reshape(-1, 2) if self._variances else np.empty((0, 2)),
         )
         return np.sqrt(out[:, 0]), np.sqrt(out[:, 1])
+
+
+def chi2_quantile(probability: float) -> float:
+    """Quantile of chi2 with three degrees of freedom."""
+    from scipy.special import chdtri
+
+    return float(chdtri(3, 1.0 - probability))

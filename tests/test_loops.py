@@ -13,8 +13,9 @@ from mfslam.config import Config, GraphConfig
 from mfslam.deskew import deskew
 from mfslam.frontend import Keyframe
 from mfslam.graph import PoseGraph
-from mfslam.loops import Loop, LoopCloser, chi2_quantile
+from mfslam.loops import Loop, LoopCloser
 from mfslam.types import Edge, Match
+from mfslam.uncertainty import chi2_quantile
 from tests.rooms import NO_PILLARS, laser, moving_scan
 
 MODEL = laser(n_beams=360)

@@ -15,6 +15,7 @@ from mfslam.config import GraphConfig
 from mfslam.graph.robust_solve import graduated_solve
 from mfslam.kernels import poses as pose_kernels
 from mfslam.types import Edge, FloatArray, MfslamError
+from mfslam.uncertainty import chi2_quantile
 
 SETTLED = 0.1  # m or rad: a loop that moves the newest pose less needs no further iteration
 NEAR_M, NEAR_RAD = 0.1, 0.02  # a loop that contradicts the poses by less can wait for a solve
@@ -126,8 +127,7 @@ class PoseGraph:
         solution.
         """
         self._flush()
-        values, weights = self._decide(edges)
-        self._poses[:] = gtsam.utilities.extractPose2(values)
+        weights = self._decide(edges)
         return [dataclasses.replace(e, weight=float(w)) for e, w in zip(edges, weights, strict=True)]
 
     def optimize_with(self, edges: list[Edge]) -> list[Edge]:
@@ -173,13 +173,14 @@ class PoseGraph:
             return [], []
         self._judged = count
         numbers = [n for n in range(len(self.edges)) if n not in self._removed]
-        values, weights = self._decide([self.edges[n] for n in numbers])
+        weights = self._decide(self.edges_to_judge())
         refused = {n for n, w in zip(numbers, weights, strict=True) if w < 0.5}
         out, back = refused - self._refused, self._refused - refused
         if out or back:
             self._refused = refused
-            self._poses[:] = gtsam.utilities.extractPose2(values)
             self._rebuild()
+        else:
+            self._read_back()  # nothing was decided
         return [self.edges[n] for n in sorted(out)], [self.edges[n] for n in sorted(back)]
 
     def release(self) -> None:
@@ -190,8 +191,12 @@ class PoseGraph:
         self._pending_values = gtsam.Values()
 
     def edges_to_judge(self) -> list[Edge]:
-        """The live edges, and the loops that a dispute took out: a last solve may see more than it did."""
-        return [e for n, e in enumerate(self.edges) if n not in self._removed]
+        """The live edges, and, at weight 0, the loops that a dispute took out: they may come back."""
+        return [
+            dataclasses.replace(e, weight=0.0) if n in self._refused else e
+            for n, e in enumerate(self.edges)
+            if n not in self._removed
+        ]
 
     # --- inside ---------------------------------------------------------------------------------------
 
@@ -236,23 +241,44 @@ class PoseGraph:
         limit_m, limit_rad = self.config.loop_satisfied_m, math.radians(self.config.loop_satisfied_deg)
         return math.hypot(x, y) > limit_m or abs(theta) > limit_rad
 
-    def _decide(self, edges: list[Edge]) -> tuple[gtsam.Values, FloatArray]:
-        """Robust batch solve from the poses as they stand: solution and weight of each edge."""
-        doubtful = [n + 1 for n, e in enumerate(edges) if e.kind == "loop"]  # slot 0 is the prior
-        values, weights = graduated_solve(
-            self._graph(edges, robust=False), self._values(), doubtful, self.config.loop_inlier_probability
-        )
-        return values, weights[1:]
+    def _decide(self, edges: list[Edge]) -> FloatArray:
+        """Robust batch solve from the poses as they stand, which become the solution; weight (E,) of each edge,
+        0 or 1.
 
-    def _kernel_weights(self, edges: list[Edge]) -> FloatArray:
-        """What the Cauchy kernel leaves of scan and loop edges at the poses as they stand; 1 for others."""
+        Loops that were refused already (weight below one half) have no say: a solve that begins with all false
+        loops at once may fold the graph. They come back where the solution satisfies them. A solution that
+        costs more than the poses as they stood, no loop counting for more than its limit, is no solution.
+        """
+        used = [e for e in edges if e.weight >= 0.5]
+        doubtful = [n + 1 for n, e in enumerate(used) if e.kind == "loop"]  # slot 0 is the prior
+        graph, before, cost_before = self._graph(used, robust=False), self._poses.copy(), self._cost(used)
+        values = graduated_solve(graph, self._values(), doubtful, self.config.loop_inlier_probability)
+        self._poses[:] = gtsam.utilities.extractPose2(values)
+        if self._cost(used) > cost_before:
+            self._poses[:] = before
+        return np.where(self._chi2(edges) <= self._limits(edges), 1.0, 0.0)
+
+    def _cost(self, edges: list[Edge]) -> float:
+        """Sum of chi2, to which no loop adds more than its limit."""
+        return float(np.minimum(self._chi2(edges), self._limits(edges)).sum())
+
+    def _limits(self, edges: list[Edge]) -> FloatArray:
+        """(E,) chi2 above which an edge is an outlier: only loops can be."""
+        limit = chi2_quantile(self.config.loop_inlier_probability)
+        return np.array([limit if e.kind == "loop" else np.inf for e in edges])
+
+    def _chi2(self, edges: list[Edge]) -> FloatArray:
+        """(E,) of edges between two keyframes, at the poses as they stand."""
         ends = np.array([(e.i, e.j) for e in edges], dtype=np.int64).reshape(-1, 2)
         measured = np.array([e.i_T_j for e in edges]).reshape(-1, 3)
         error = se2.between(measured, se2.between(self._poses[ends[:, 0]], self._poses[ends[:, 1]]))
         information = np.array([e.joint_information for e in edges]).reshape(-1, 3, 3)
-        chi2 = np.einsum("ni,nij,nj->n", error, information, error)
+        return np.asarray(np.einsum("ni,nij,nj->n", error, information, error))
+
+    def _kernel_weights(self, edges: list[Edge]) -> FloatArray:
+        """What the Cauchy kernel leaves of scan and loop edges at the poses as they stand; 1 for others."""
         robust = np.array([e.kind in ("scan", "loop") for e in edges], dtype=np.bool_)
-        return np.where(robust, 1.0 / (1.0 + chi2 / self.config.loop_kernel_sigmas**2), 1.0)
+        return np.where(robust, 1.0 / (1.0 + self._chi2(edges) / self.config.loop_kernel_sigmas**2), 1.0)
 
     def _graph(self, edges: list[Edge], robust: bool) -> gtsam.NonlinearFactorGraph:
         graph = gtsam.NonlinearFactorGraph()

@@ -6,9 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import gtsam
-import numpy as np
-
-from mfslam.types import FloatArray
 
 
 def graduated_solve(
@@ -16,10 +13,10 @@ def graduated_solve(
     values: gtsam.Values,
     doubtful: Sequence[int],
     inlier_probability: float,
-) -> tuple[gtsam.Values, FloatArray]:
-    """Solution and weight (F,) of each factor of ``graph``; those not in ``doubtful`` (slots) are believed."""
+) -> gtsam.Values:
+    """Solution of ``graph`` without the outliers among its ``doubtful`` factors (slots); the others are believed."""
     if not doubtful:
-        return gtsam.LevenbergMarquardtOptimizer(graph, values).optimize(), np.ones(graph.size())
+        return gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     params = gtsam.GncLMParams()
     params.setLossType(gtsam.GncLossType.TLS)
     # the default schedule: the faster one believes false loops where true ones are few
@@ -27,5 +24,4 @@ def graduated_solve(
     params.setKnownInliers(sorted(set(range(graph.size())) - set(doubtful)))
     gnc = gtsam.GncLMOptimizer(graph, values, params)
     gnc.setInlierCostThresholdsAtProbability(inlier_probability)
-    solution = gnc.optimize()
-    return solution, np.asarray(gnc.getWeights(), dtype=np.float64)
+    return gnc.optimize()
