@@ -379,3 +379,15 @@ def test_a_loop_in_use_is_satisfied_in_the_end():
     kept = [e for e in edges if e.kind == "loop" and e.weight >= 0.5]
     off = [se2.between(e.i_T_j, se2.between(graph.poses()[e.i], graph.poses()[e.j])) for e in kept]
     assert len(kept) <= 1 and all(np.hypot(*x[:2]) < 0.2 for x in off)
+
+
+def test_what_waits_when_a_dispute_is_settled_is_not_added_twice():
+    """Every edge stands once in iSAM2: its error is that of the edges in use."""
+    steps, truth = there_and_back()
+    wrong = [loop_between(truth, 50 - n, 70 + n, (5.0, 0.0, 0.0)) for n in range(4)]
+    true = [loop_between(truth, 40 - 2 * n, 82 + 2 * n) for n in range(12)]
+    graph, taken_out, _ = drive_with_loops(steps, [*wrong, *true])
+    graph.relative_covariance(0, len(steps))  # nothing waits any more
+    slots = graph._isam.getFactorsUnsafe()
+    in_isam = sum(slots.exists(n) for n in range(slots.size()))
+    assert taken_out and in_isam == 1 + len(graph.live_edges())

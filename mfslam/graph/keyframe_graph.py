@@ -173,6 +173,7 @@ class PoseGraph:
             return [], []
         self._judged = count
         numbers = [n for n in range(len(self.edges)) if n not in self._removed]
+        before = self._poses.copy()
         weights = self._decide(self.edges_to_judge())
         refused = {n for n, w in zip(numbers, weights, strict=True) if w < 0.5}
         out, back = refused - self._refused, self._refused - refused
@@ -180,7 +181,7 @@ class PoseGraph:
             self._refused = refused
             self._rebuild()
         else:
-            self._read_back()  # nothing was decided
+            self._poses[:] = before
         return [self.edges[n] for n in sorted(out)], [self.edges[n] for n in sorted(back)]
 
     def release(self) -> None:
@@ -304,9 +305,7 @@ class PoseGraph:
             self._factor_slots.update(zip(self._pending_edges, slots, strict=True))
         except (RuntimeError, IndexError):
             self._rebuild()
-        self._pending_factors, self._pending_edges = gtsam.NonlinearFactorGraph(), []
-        self._pending_values = gtsam.Values()
-        self._is_contradicted = False
+        self._forget_pending()
         before = self._poses[-1].copy()
         self._read_back()
         if closes_loop and np.abs(self._poses[-1] - before).max() > SETTLED:
@@ -332,3 +331,9 @@ class PoseGraph:
             graph.add(self._factor(self.edges[n], robust=self.edges[n].kind == "loop"))
         result = self._isam.update(graph, self._values())
         self._factor_slots = dict(zip([-1, *numbers], result.getNewFactorsIndices(), strict=True))
+        self._forget_pending()
+
+    def _forget_pending(self) -> None:
+        self._pending_factors, self._pending_edges = gtsam.NonlinearFactorGraph(), []
+        self._pending_values = gtsam.Values()
+        self._is_contradicted = False
