@@ -65,7 +65,7 @@ def test_turned_about_where_it_stands_is_another_answer():
     here, _ = rooms.oriented_points(world, rooms.NO_PILLARS, np.zeros(3))
     place = SearchMap.of(here, np.zeros(2), 15.0, 0.1)
     found = hypotheses(place, here, np.zeros(3), 0.5, math.pi, 0.4)
-    turned = sorted(round(math.degrees(pose[2])) % 360 for pose, _ in found)
+    turned = sorted((math.degrees(pose[2]) + 45.0) % 360.0 - 45.0 for pose, _ in found)
     np.testing.assert_allclose(turned, [0, 90, 180, 270], atol=3)
     assert [score for _, score in found] == sorted((score for _, score in found), reverse=True)
 
