@@ -97,7 +97,9 @@ def _normal_equations(
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
     inv_s2 = 1.0 / (sigma * sigma)
-    h[:] = 0.0
+    for u in range(3):  # not h[:] = 0.0: whole arrays at once take a second to compile
+        for v in range(3):
+            h[u, v] = 0.0
     b0 = b1 = b2 = 0.0
     sum_r2 = 0.0
     weight_sum = 0.0

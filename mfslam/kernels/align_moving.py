@@ -104,7 +104,10 @@ def _normal_equations(
     c, s = math.cos(pose[2]), math.sin(pose[2])
     inv_s2 = 1.0 / (sigma * sigma)
     jacobian = np.empty(3)
-    h[:], b[:] = 0.0, 0.0
+    for u in range(6):
+        b[u] = 0.0
+        for v in range(6):
+            h[u, v] = 0.0
     for i in range(placed.shape[0]):
         pair, nx, ny, r = line_residual(
             rows, partner[i], placed[i, 0], placed[i, 1], placed[i, 2], placed[i, 3], radius
@@ -169,11 +172,12 @@ def point_to_line_moving(
         _place_moving(points, normals, times, pose, change, body, placed)
         find_partners(index, rows, cell, placed, radius, MIN_NORMAL_COS, partner, seen)
         _normal_equations(rows, partner, body, placed, times, pose, sigma, scale, radius, h, b)
-        is_open, v0, v1 = open_direction(h[:3, :3], open_share)
+        is_open, v0, v1 = open_direction(h, open_share)
         if is_open:  # what noise feigns along an open direction must not pull against the prior
             _drop_direction(h, b, v0, v1)
         error[0], error[1], error[2] = error_from(prior, pose)
-        error[3:] = prior[3:] - change
+        for u in range(3):
+            error[3 + u] = prior[3 + u] - change[u]
         for u in range(6):
             for v in range(6):
                 h[u, v] += prior_information[u, v]
@@ -182,7 +186,8 @@ def point_to_line_moving(
         if not solved:
             break
         small = step_by(pose, d[0], d[1], d[2])
-        change += d[3:]
+        for u in range(3):
+            change[u] += d[3 + u]
         if small and radius <= radius_end:
             converged = True
             break

@@ -124,23 +124,24 @@ def branch_and_bound(
             xs[a, k] = block + math.floor((x - origin[0]) / cell)
             ys[a, k] = block + math.floor((y - origin[1]) / cell)
     four = np.zeros(4, np.int64)
-    scores = np.zeros((n_angles, per_side + 1, per_side + 1), np.int64)
+    side = per_side + 1
+    scores = np.zeros(n_angles * side * side, np.int64)
     for a in range(n_angles):
         for u in range(0, per_side, 2):
             for v in range(0, per_side, 2):
                 _four_scores(levels, top, xs[a], ys[a], u * block - half, v * block - half, block, four)
-                scores[a, u, v], scores[a, u, v + 1] = four[0], four[1]
-                scores[a, u + 1, v], scores[a, u + 1, v + 1] = four[2], four[3]
+                at = (a * side + u) * side + v
+                scores[at], scores[at + 1] = four[0], four[1]
+                scores[at + side], scores[at + side + 1] = four[2], four[3]
     order = _best_first(scores, perfect, best)
     # depth first: (level, angle, ox, oy, bound that put it on the stack)
     stack = np.empty((4 * (top + 1) + 4, 5), np.int64)
-    side = per_side + 1
     for n in range(order.shape[0]):
         a, u, v = order[n] // (side * side), (order[n] // side) % side, order[n] % side
         if u == per_side or v == per_side:
             continue
         stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = top, a, u * block - half, v * block - half
-        stack[0, 4] = scores[a, u, v]
+        stack[0, 4] = scores[order[n]]
         depth = 1
         while depth > 0:
             depth -= 1
@@ -176,19 +177,18 @@ def branch_and_bound(
 
 @njit
 def _best_first(scores: IntArray, perfect: int, least: float) -> IntArray:
-    """Flat indices of the scores above ``least``, the best first: sorted into 256 bins, which is near enough
+    """Indices of the scores (N,) above ``least``, the best first: sorted into 256 bins, which is near enough
     for an order to search in."""
-    flat = scores.ravel()
     first = np.zeros(258, np.int64)
-    for k in range(flat.shape[0]):
-        if flat[k] > least:
-            first[257 - (256 * flat[k]) // (perfect + 1)] += 1
+    for k in range(scores.shape[0]):
+        if scores[k] > least:
+            first[257 - (256 * scores[k]) // (perfect + 1)] += 1
     for b in range(1, 258):
         first[b] += first[b - 1]
     order = np.empty(first[257], np.int64)
-    for k in range(flat.shape[0]):
-        if flat[k] > least:
-            b = 256 - (256 * flat[k]) // (perfect + 1)
+    for k in range(scores.shape[0]):
+        if scores[k] > least:
+            b = 256 - (256 * scores[k]) // (perfect + 1)
             order[first[b]] = k
             first[b] += 1
     return order

@@ -61,7 +61,7 @@ def upper_root(information: FloatArray, absolute_floor: float, relative_floor: f
 
 @njit(cache=True, nogil=True)
 def open_direction(information: FloatArray, least_share: float) -> tuple[bool, float, float]:
-    """Whether a direction of translation holds less than ``least_share`` of the information of the one
+    """Whether a direction of translation (the first two rows) holds less than ``least_share`` of the information of the one
     across it, and that direction (unit vector).
 
     Along a bare corridor the true information is none, but normals that are not quite exact feign some

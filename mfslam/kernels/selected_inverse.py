@@ -37,13 +37,14 @@ def factor_pattern(starts: IntArray, columns: IntArray) -> tuple[IntArray, IntAr
                         parent[k] = i
                     k = parent[k]
         if not fill:
-            first[1:] = np.cumsum(counts)
+            for i in range(n):
+                first[i + 1] = first[i] + counts[i]
+                counts[i] = 0
             rows = np.empty(first[n], np.int64)
-            counts[:] = 0
     return first, rows
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit
 def _subtract_product(out: FloatArray, a: FloatArray, b: FloatArray, transposed: bool) -> None:
     """out -= a b, or a^T b, of 3x3 blocks."""
     for u in range(3):
@@ -52,7 +53,7 @@ def _subtract_product(out: FloatArray, a: FloatArray, b: FloatArray, transposed:
                 out[u, v] -= (a[k, u] if transposed else a[u, k]) * b[k, v]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _inverse(a: FloatArray, out: FloatArray) -> None:
     """Inverse of a 3x3 block that is symmetric and positive definite."""
     c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
@@ -64,6 +65,14 @@ def _inverse(a: FloatArray, out: FloatArray) -> None:
     out[1, 2] = (a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2]) / det
     out[2, 2] = (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]) / det
     out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
+
+
+@njit
+def _copy_block(block: FloatArray, out: FloatArray) -> None:
+    """Element by element: whole blocks at once take a second to compile."""
+    for u in range(3):
+        for v in range(3):
+            out[u, v] = block[u, v]
 
 
 @njit(cache=True, nogil=True)
@@ -83,22 +92,22 @@ def factorise(first: IntArray, rows: IntArray, diagonal: FloatArray, below: Floa
             for e in range(first[b], first[b + 1]):
                 place[rows[e]] = e
             # scaled = D^-1 A_bj^T; then A_ab -= A_aj D^-1 A_bj^T
-            scaled[:] = 0.0
             for u in range(3):
                 for v in range(3):
+                    scaled[u, v] = 0.0
                     for k in range(3):
                         scaled[u, v] += inverse[u, k] * below[q, v, k]
             _subtract_product(diagonal[b], below[q], scaled, False)
             for e in range(q + 1, first[j + 1]):
                 _subtract_product(below[place[rows[e]]], below[e], scaled, False)
         for q in range(first[j], first[j + 1]):
-            scaled[:] = 0.0
             for u in range(3):
                 for v in range(3):
+                    scaled[u, v] = 0.0
                     for k in range(3):
                         scaled[u, v] += below[q, u, k] * inverse[k, v]
-            below[q] = scaled
-        diagonal[j] = inverse
+            _copy_block(scaled, below[q])
+        _copy_block(inverse, diagonal[j])
 
 
 @njit(cache=True, nogil=True)
@@ -116,7 +125,10 @@ def invert_selected(first: IntArray, rows: IntArray, diagonal: FloatArray, below
     z = np.empty((widest, 3, 3))
     for j in range(n - 1, -1, -1):
         start, end = first[j], first[j + 1]
-        z[: end - start] = 0.0
+        for q in range(end - start):
+            for u in range(3):
+                for v in range(3):
+                    z[q, u, v] = 0.0
         for q in range(start, end):
             b = rows[q]
             for e in range(first[b], first[b + 1]):
@@ -128,4 +140,5 @@ def invert_selected(first: IntArray, rows: IntArray, diagonal: FloatArray, below
                 _subtract_product(z[q - start], block, below[e], True)
         for q in range(start, end):
             _subtract_product(diagonal[j], below[q], z[q - start], True)
-        below[start:end] = z[: end - start]
+        for q in range(start, end):
+            _copy_block(z[q - start], below[q])
