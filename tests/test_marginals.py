@@ -72,3 +72,13 @@ def test_agrees_with_gtsam_on_a_random_graph_with_loops_and_headings() -> None:
 
 def test_one_keyframe_is_the_origin() -> None:
     assert not GraphInformation(np.zeros((1, 3)), []).marginals().any()
+
+
+def test_the_motion_between_two_poses_is_surer_than_both_seen_from_the_start() -> None:
+    poses, sigma_m = line(6), 0.01
+    information = np.diag([sigma_m**-2, sigma_m**-2, 1e8])
+    graph = GraphInformation(poses, [step(k, k + 1, poses, information) for k in range(5)])
+    pairs = np.array([[0, 5], [3, 5], [5, 3]])
+    covariances = graph.relative_covariances(pairs[:, 0], pairs[:, 1])
+    np.testing.assert_allclose(covariances[0], graph.marginals()[5], rtol=1e-6)
+    np.testing.assert_allclose(covariances[1:, 0, 0], 2 * sigma_m**2, rtol=1e-3)
