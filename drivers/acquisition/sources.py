@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack
 from dataclasses import dataclass
+from typing import Literal
 
 from drivers.base import Sensor
 from drivers.host_clock import HostClock
@@ -13,6 +14,10 @@ from mfslam.config import Config
 from mfslam.types import MfslamError
 
 LIDARS = "urg:DEVICE, urg:HOST:PORT, lds:MODEL:DEVICE, sim:WORLD, sim:WORLD@utm-30lx"
+_SIMULATED_BOARDS: dict[str, tuple[Literal["lines", "arduino"], str]] = {
+    "sim": ("lines", "board"),
+    "sim:arduino": ("arduino", "arduino"),
+}
 WHEELS = "board:DEVICE, arduino:DEVICE, sim (with a simulated lidar), sim:arduino"
 
 
@@ -31,9 +36,9 @@ class Sources:
             ("--wheels", self.wheels, WHEELS, ("board", "arduino", "sim")),
         ):
             kind, _, rest = (text or "").partition(":")
-            if text is not None and (
-                kind not in kinds or (not rest and (option, kind) != ("--wheels", "sim"))
-            ):
+            simulated = option == "--wheels" and kind == "sim"
+            good = text in _SIMULATED_BOARDS if simulated else kind in kinds and rest
+            if text is not None and not good:
                 raise MfslamError(f"{option} {text}: expected one of {known}")
         if self.lidar is not None and self.lidar.startswith("urg:"):
             tcp_address(self.lidar[4:])
@@ -48,7 +53,7 @@ class Sources:
 
     @property
     def _simulated_wheels(self) -> bool:
-        return self.wheels is not None and self.wheels.split(":")[0] == "sim"
+        return self.wheels in _SIMULATED_BOARDS
 
     def map_settings(self) -> list[str]:
         """What whoever maps the recording must know of a simulated robot: the geometry of its wheels."""
@@ -80,20 +85,11 @@ class Sources:
         from drivers.simulator.devices.serve import Cast, SimulatedSensors
 
         world, _, laser = (self.lidar or "").removeprefix("sim:").partition("@")
-        firmware = (self.wheels or "").removeprefix("sim").removeprefix(":") or "lines"
-        if firmware not in ("lines", "arduino"):
-            raise MfslamError(f"--wheels {self.wheels}: expected sim or sim:arduino")
         sensor = config.sensor
         mount = (sensor.mount_x_m or 0.0, sensor.mount_y_m or 0.0, math.radians(sensor.mount_yaw_deg or 0.0))
-        cast = Cast(
-            world,
-            laser or "urg-04lx",
-            ("arduino" if firmware == "arduino" else "lines") if self._simulated_wheels else None,
-            mount=mount,
-        )
-        played = stack.enter_context(SimulatedSensors(cast))
-        wheels = f"{'arduino' if firmware == 'arduino' else 'board'}:{played.board}"
-        return f"urg:{played.lidar}", wheels if self._simulated_wheels else self.wheels
+        board, kind = _SIMULATED_BOARDS.get(self.wheels or "", (None, ""))
+        played = stack.enter_context(SimulatedSensors(Cast(world, laser or "urg-04lx", board, mount=mount)))
+        return f"urg:{played.lidar}", f"{kind}:{played.board}" if board else self.wheels
 
 
 def _lidar(text: str, config: Config, clock: HostClock) -> Sensor:

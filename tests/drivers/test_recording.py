@@ -171,6 +171,8 @@ def test_a_full_disk_is_told_and_what_was_recorded_stays(tmp_path: Path) -> None
         (["--lidar", "sim:nowhere"], "no world"),
         (["--lidar", "sim:demo@urg-05"], "no simulated laser"),
         (["--wheels", "sim"], "needs the world of a simulated lidar"),
+        (["--lidar", "sim:demo", "--wheels", "sim:arm"], "--wheels sim:arm: expected one of board:DEVICE"),
+        (["--lidar", "sim:demo", "--wheels", "board:/dev/nowhere"], "board:/dev/nowhere: cannot be opened"),
         ([], "expected --lidar or --wheels"),
     ],
 )
