@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from array import array
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -86,6 +87,7 @@ class Slam:
         self.scans: list[Scan] = []
         self.steps: list[Step] = []
         self.keyframes: list[Keyframe] = []
+        self.cpu_s = array("d")  # of the process, when each keyframe was reached
         self.graph = PoseGraph(config.graph)
         self.loops = LoopCloser(config, self.keyframes)
         self._frontend = Frontend(config)
@@ -135,6 +137,7 @@ class Slam:
         with self.clock.time("graph"):
             keyframe = self._frontend.recent[-1]
             self.keyframes.append(keyframe)
+            self.cpu_s.append(time.process_time())
             self.loops.add_keyframe(torn=step.blind_s > 0.0)
             if len(self.keyframes) == 1:
                 self.graph.add_first(np.zeros(3))

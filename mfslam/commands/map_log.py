@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from drivers.base import Log
 from drivers.logs import open_log
 from mfslam.commands.interrupts import Interrupts
@@ -157,6 +159,7 @@ def run_summary(log: Log, slam: Slam, solution: Solution, interrupted: bool, cpu
         "interrupted": interrupted,
         "real_time_factor": log_s / max(cpu_s, 1e-9),
         "timings_s": {**slam.clock.seconds, "total": cpu_s},
+        "reading_cost_by_quarter": reading_cost(slam),
         "loops": {
             "searches": statistics.searches,
             "places_tried": statistics.places_tried,
@@ -171,6 +174,18 @@ def run_summary(log: Log, slam: Slam, solution: Solution, interrupted: bool, cpu
         ],
         "wheels": slam.wheel_errors.as_json() if slam.wheel_errors is not None else {},
     }
+
+
+def reading_cost(slam: Slam) -> list[dict[str, float]]:
+    """Way driven and CPU time of the reading, for each quarter of the way: does a metre cost more later on?"""
+    travel_m, cpu_s = np.array(slam.loops.travel_m), np.array(slam.cpu_s)
+    if len(travel_m) < 2:
+        return []
+    ends = np.searchsorted(travel_m, np.linspace(0.0, travel_m[-1], 5)).clip(max=len(travel_m) - 1)
+    return [
+        {"travelled_m": float(m), "cpu_s": float(s)}
+        for m, s in zip(np.diff(travel_m[ends]), np.diff(cpu_s[ends]), strict=True)
+    ]
 
 
 def leave(outcome: Outcome, config: Config, folder: Path, json_file: Path | None) -> None:

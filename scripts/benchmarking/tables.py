@@ -68,6 +68,18 @@ def loops_table(outcomes: list[Outcome]) -> Table:
     return [head, *rows]
 
 
+def growth_table(outcomes: list[Outcome]) -> Table:
+    """What a metre costs while reading, quarter by quarter of the way."""
+    head = ["log", "m per quarter", *(f"{n} quarter, ms per m" for n in ("1st", "2nd", "3rd", "4th"))]
+    rows = []
+    for o in outcomes:
+        quarters = o.summary.get("reading_cost_by_quarter", [])
+        if o.failure is None and o.variant == "deskew on" and quarters:
+            costs = [f"{1e3 * q['cpu_s'] / max(q['travelled_m'], 1e-9):.1f}" for q in quarters]
+            rows.append([o.log, f"{quarters[0]['travelled_m']:.0f}", *costs])
+    return [head, *rows]
+
+
 def crispness_table(outcomes: list[Outcome]) -> Table:
     head = ["log", "variant", "2 cm cells", "against off", "entropy nats"]
     plain = {
@@ -101,6 +113,7 @@ def tables(outcomes: list[Outcome]) -> list[tuple[str, Table]]:
             uncertainty_table(outcomes),
         ),
         ("Cost of the whole command, kernels compiled", cost_table(outcomes)),
+        ("CPU time of reading per metre of the way, by its quarters", growth_table(outcomes)),
         (
             "Loops: satisfied is violated by less than 0.2 m and 1 deg after the final solve",
             loops_table(outcomes),
