@@ -141,7 +141,9 @@ def main() -> int:
     head = ["what", "calls", "s", "% of the run", "unit", "million per s", "ns each"]
     done = sorted((t for t in tallies if t.calls), key=lambda t: -t.seconds)
     table: Table = [head, *(t.row(total_s) for t in done)]
-    print(f"{options.log.name}: {total_s:.1f} CPU s\n\n{(as_markdown if options.markdown else as_text)(table)}")
+    print(
+        f"{options.log.name}: {total_s:.1f} CPU s\n\n{(as_markdown if options.markdown else as_text)(table)}"
+    )
     return 0
 
 
