@@ -135,11 +135,14 @@ class UrgSensor(LiveSensor):
             yield Scan(self.clock.stamp_ns(first_s), self._ranges(raw, parameters, laser), laser)
 
     def _tell_missing(self, pace: _Pace, geometry: Geometry) -> None:
-        """Scans that the line has no time for are no error of one scan, but worth a word."""
+        """Scans that the line has no time for are worth a word; those that were bent have theirs."""
+        errors = self.health.errors
+        if not pace.missing or any(errors[kind] for kind in ("checksum", "cut", "garbage")):
+            return
         wanted = PACE_SCANS - PACE_SCANS * geometry.window.skip // (1 + geometry.window.skip)
         lost = pace.missing - (PACE_SCANS - wanted)
-        if pace.missing and lost > 0.2 * wanted and not self.health.errors["line-too-slow"]:
-            self.health.errors["line-too-slow"] = 1
+        if lost > 0.2 * wanted and not errors["line-too-slow"]:
+            errors["line-too-slow"] = 1
             self.health.advice = f"{lost} of {wanted} scans do not get through: try scip.baud=250000 or more, or scip.cluster=2"
 
     def _least_delay_s(self, geometry: Geometry, period_s: float, baud: int | None) -> float:
