@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from mfslam import se2
 from mfslam.types import BoolArray, FloatArray, IntArray
@@ -97,6 +95,9 @@ def components(graph: GraphFile) -> IntArray:
     anchored = np.concatenate([rows(np.array(sorted(graph.fixed), dtype=np.int64)), i[i == j]])
     heads = np.concatenate([i, np.full(len(anchored), size)])
     tails = np.concatenate([j, anchored])
+    from scipy.sparse import coo_array  # here: a run that only writes its graph need not wait for it
+    from scipy.sparse.csgraph import connected_components
+
     links = coo_array((np.ones(len(heads)), (heads, tails)), shape=(size + 1, size + 1))
     _, labels = connected_components(links, directed=False)
     labels = labels[:size]
