@@ -22,6 +22,8 @@ from mfslam.uncertainty import RelativeUncertainty, chi2_quantile
 
 GAP_M = 100.0  # driven, as it were, where nothing ties two keyframes: what is within so much is rigid
 
+AGREE_WITHIN_M = 20.0  # of driving between two loops that tell the same story
+
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
@@ -299,6 +301,9 @@ class LoopCloser:
         if inside_gate and loop.window_m <= config.wide_window_m:
             return [loop]
         needed = config.partners if inside_gate else 2 * config.partners
+        # those that wait from too far back can agree with nothing any more
+        newest_m = self.travel_m[loop.j]
+        self._waiting = [w for w in self._waiting if newest_m - self.travel_m[w.j] <= AGREE_WITHIN_M]
         agreeing = [w for w in self._waiting if self._agree(w, loop)]
         self._waiting.append(loop)
         distinct = {w.j for w in agreeing}
@@ -314,7 +319,7 @@ class LoopCloser:
         """Whether two loops tell the same story about the two passes, the local frame being rigid."""
         travelled = abs(self.travel_m[a.j] - self.travel_m[b.j])
         apart = abs(self.travel_m[a.i] - self.travel_m[b.i])
-        if not 0.5 <= travelled <= 20.0 or apart > 30.0:
+        if not 0.5 <= travelled <= AGREE_WITHIN_M or apart > 30.0:
             return False
         local = self.keyframes
         ai_T_bi = poses.between(local[a.i].local_T_body, local[b.i].local_T_body)

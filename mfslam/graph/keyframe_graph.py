@@ -14,7 +14,7 @@ from mfslam import se2
 from mfslam.config import GraphConfig
 from mfslam.graph.robust_solve import graduated_solve
 from mfslam.kernels import poses as pose_kernels
-from mfslam.types import Edge, FloatArray, MfslamError
+from mfslam.types import BoolArray, Edge, FloatArray, MfslamError
 from mfslam.uncertainty import chi2_quantile
 
 SETTLED = 0.1  # m or rad: a loop that moves the newest pose less needs no further iteration
@@ -146,11 +146,13 @@ class PoseGraph:
         """The same until every loop in use (weight of at least one half) is satisfied: those that are not are
         taken out."""
         while True:
-            unsatisfied = {n for n, e in enumerate(edges) if e.weight >= 0.5 and self._is_violated(e)}
-            if not unsatisfied:
+            used = np.array([e.weight >= 0.5 for e in edges], dtype=np.bool_)
+            unsatisfied = used & self._violated(edges)
+            if not unsatisfied.any():
                 return edges
             edges = [
-                dataclasses.replace(e, weight=0.0) if n in unsatisfied else e for n, e in enumerate(edges)
+                dataclasses.replace(e, weight=0.0) if out else e
+                for e, out in zip(edges, unsatisfied, strict=True)
             ]
             edges = self.optimize_with(edges)
 
@@ -169,7 +171,7 @@ class PoseGraph:
             return [], []
         self._has_moved = False
         out_of_use = self._removed | self._refused
-        if not any(self._is_violated(self.edges[n]) for n in self._loops if n not in out_of_use):
+        if not self._violated([self.edges[n] for n in self._loops if n not in out_of_use]).any():
             return [], []
         self._judged = count
         numbers = [n for n in range(len(self.edges)) if n not in self._removed]
@@ -234,13 +236,12 @@ class PoseGraph:
         error: FloatArray = pose_kernels.between(edge.i_T_j, i_T_j)
         return error
 
-    def _is_violated(self, edge: Edge) -> bool:
-        """Whether a loop is off by more than one in use may be, at the poses as they stand."""
-        if edge.kind != "loop":
-            return False
-        x, y, theta = self._error(edge)
+    def _violated(self, edges: list[Edge]) -> BoolArray:
+        """(E,) which edges are loops off by more than one in use may be, at the poses as they stand."""
+        error = self._errors(edges)
         limit_m, limit_rad = self.config.loop_satisfied_m, math.radians(self.config.loop_satisfied_deg)
-        return math.hypot(x, y) > limit_m or abs(theta) > limit_rad
+        loops = np.array([e.kind == "loop" for e in edges], dtype=np.bool_)
+        return loops & ((np.hypot(error[:, 0], error[:, 1]) > limit_m) | (np.abs(error[:, 2]) > limit_rad))
 
     def _decide(self, edges: list[Edge]) -> FloatArray:
         """Robust batch solve from the poses as they stand, which become the solution; weight (E,) of each edge,
@@ -268,11 +269,15 @@ class PoseGraph:
         limit = chi2_quantile(self.config.loop_inlier_probability)
         return np.array([limit if e.kind == "loop" else np.inf for e in edges])
 
+    def _errors(self, edges: list[Edge]) -> FloatArray:
+        """(E, 3) from what the edges measured to where the poses stand."""
+        ends = np.array([(e.i, e.j) for e in edges], dtype=np.int64).reshape(-1, 2)
+        measured = np.array([e.i_T_j for e in edges], dtype=np.float64).reshape(-1, 3)
+        return se2.between(measured, se2.between(self._poses[ends[:, 0]], self._poses[ends[:, 1]]))
+
     def _chi2(self, edges: list[Edge]) -> FloatArray:
         """(E,) of edges between two keyframes, at the poses as they stand."""
-        ends = np.array([(e.i, e.j) for e in edges], dtype=np.int64).reshape(-1, 2)
-        measured = np.array([e.i_T_j for e in edges]).reshape(-1, 3)
-        error = se2.between(measured, se2.between(self._poses[ends[:, 0]], self._poses[ends[:, 1]]))
+        error = self._errors(edges)
         information = np.array([e.joint_information for e in edges]).reshape(-1, 3, 3)
         return np.asarray(np.einsum("ni,nij,nj->n", error, information, error))
 
