@@ -277,31 +277,25 @@ class GraphConfig(_Stage):
 class RefineConfig(_Stage):
     """The second pass over the keyframes, from the optimised trajectory."""
 
-    passes: int = Field(2, ge=0, description="Rounds of deskewing, matching and solving again.")
-    successive: int = Field(3, ge=1, description="Previous keyframes that each one is matched with.")
-    surface_keyframes: int = Field(
-        1,
-        ge=1,
-        description="Keyframes whose common surface a previous keyframe stands for in that. 1: its own scan; more "
-        "where the noise of a range is large.",
+    passes: int = Field(
+        2,
+        ge=0,
+        description="Rounds of deskewing all keyframes and adjusting them with the walls that they saw.",
     )
-    others: int = Field(
-        5, ge=0, description="Keyframes of other passes by the same spot that each one is matched with."
+    iterations: int = Field(
+        8, ge=1, description="Iterations of the first round at most; later ones need half."
     )
-    radius_m: float = Field(3.0, gt=0, description="How near those must be, m.")
-    search_radius_m: float = Field(0.25, gt=0, description="Partners are sought this far at the start, m.")
+    search_radius_m: float = Field(
+        0.25,
+        gt=0,
+        description="How far a point may lie from its wall in the first round, m; later half of it.",
+    )
     localise: bool = Field(
         True, description="Match the scans between keyframes once more with all keyframes around them."
     )
-    min_inlier_ratio: float = Field(0.4, gt=0, lt=1, description="Share of matched points that a pair needs.")
-    independent_share: float = Field(
-        1.0,
-        gt=0,
-        le=1,
-        description="As icp.independent_share, of matches with single scans: every point has its own noise there.",
+    min_inlier_ratio: float = Field(
+        0.4, gt=0, lt=1, description="Share of matched points that a scan between keyframes needs."
     )
-    sigma_floor_m: float = Field(0.0005, ge=0, description="As icp.sigma_floor_m, of these matches, m.")
-    sigma_floor_deg: float = Field(0.01, ge=0, description="As icp.sigma_floor_deg, of these matches, deg.")
 
 
 class MapConfig(_Stage):

@@ -199,6 +199,11 @@ class MotionSources:
         if compass is not None:
             yield _heading_edge(j, j, *compass)
 
+    @property
+    def wheel_steps(self) -> list[tuple[int, int, WheelStep]]:
+        """What the wheels told between keyframes i and j."""
+        return [(i, j, step) for (i, j), step in self._wheel_steps.items()]
+
     def revised(self, edges: list[Edge]) -> list[Edge]:
         """The edges, those of wheels by all that was learned of their errors until now."""
         known = self._wheel_steps

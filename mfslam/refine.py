@@ -1,133 +1,74 @@
-"""The second pass: scans matched again with all that overlap them, from the optimised trajectory."""
+"""The second pass, from the optimised trajectory: keyframes adjusted together with the walls that they saw, then the
+scans between them."""
 
 from __future__ import annotations
 
-import math
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import cast
 
 import numpy as np
 
-from mfslam import icp, se2
-from mfslam.config import Config, IcpConfig, RefineConfig
+from mfslam import icp
+from mfslam.adjustment import Noise, WheelTerms, adjust
+from mfslam.config import Config
 from mfslam.deskew import deskew
 from mfslam.frontend import Keyframe, merged_surface
 from mfslam.kernels import poses
-from mfslam.kernels.cells import CellTable
 from mfslam.types import DeskewedScan, Edge, FloatArray, IntArray, Scan
+from mfslam.wheel_errors import WheelErrors, WheelStep
 
-MAX_TABLES = 500
-LOCALISE_SIGMAS = np.array(
-    [0.05, 0.05, 0.02]
-)  # how well a scan between keyframes is known before (m, m, rad)
-
-
-def neighbours(world_T_body: FloatArray, config: RefineConfig) -> list[tuple[int, int]]:
-    """Pairs (i, j), i < j, of keyframes to match: the last few, and of every other pass by the same spot
-    the nearest ones."""
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(world_T_body[:, :2])
-    nearby = cast(Sequence[list[int]], tree.query_ball_point(world_T_body[:, :2], config.radius_m))
-    pairs: list[tuple[int, int]] = []
-    for j, near in enumerate(nearby):
-        for i in range(max(0, j - config.successive), j):
-            pairs.append((i, j))
-        others = np.array([i for i in near if i < j - config.successive], dtype=np.int64)
-        if others.size and config.others:
-            pairs += [(i, j) for i in _spread(world_T_body, j, others, config.others)]
-    return pairs
+# how well a scan between keyframes is known before (m, m, rad)
+LOCALISE_SIGMAS = np.array([0.05, 0.05, 0.02])
+# the surroundings of a keyframe: so many before it, so many of other passes, so far off at most
+SUCCESSIVE, OTHERS, AROUND_M = 3, 5, 3.0
+# of a step that wheels tell, or that nothing but inertia holds, where no wall does (1 m, 1 rad; 0.2 m, 0.2 rad)
+HARDLY_ANYTHING, INERTIA = np.eye(3), 25.0 * np.eye(3)
 
 
-def _spread(world_T_body: FloatArray, j: int, candidates: IntArray, count: int) -> list[int]:
-    """The nearest candidates, at most one of any ten successive keyframes; those that look the same way
-    come first."""
-    offset = world_T_body[candidates] - world_T_body[j]
-    cost = np.hypot(offset[:, 0], offset[:, 1]) + 0.5 * np.abs(np.sin(0.5 * offset[:, 2]))
-    chosen: list[int] = []
-    left = candidates[np.argsort(cost)]
-    while left.size and len(chosen) < count:
-        chosen.append(int(left[0]))
-        left = left[np.abs(left - left[0]) >= 10]
-    return chosen
+class Refinement:
+    """Rounds of adjustment, each with keyframes deskewed anew; what one learns of the noise serves the next.
 
-
-def match_neighbours(
-    clouds: list[DeskewedScan],
-    world_T_body: FloatArray,
-    pairs: list[tuple[int, int]],
-    range_sigma_m: float,
-    icp_config: IcpConfig,
-    config: RefineConfig,
-) -> list[Edge]:
-    """Pairwise edges of overlapping scans, each from the current estimate and close to it.
-
-    The reference of a predecessor is the surface that it and those before it saw
-    (``config.surface_keyframes``), that of another pass the scan alone.
+    ``edges``: of the solved graph. Loops that it refused (weight below one half) stay out; the others only
+    bring the places together that they join: from then on their walls say it better.
     """
-    own = ("independent_share", "sigma_floor_m", "sigma_floor_deg")
-    icp_config = icp_config.model_copy(update={key: getattr(config, key) for key in own})
-    tables: OrderedDict[tuple[int, int], CellTable] = OrderedDict()  # of the latest references
-    edges: list[Edge] = []
-    for i, j in pairs:  # they come in order of j
-        merged = config.surface_keyframes if j - i <= config.successive else 1
-        key = (i, merged)
-        if key not in tables:
-            tables[key] = _reference(clouds, world_T_body, range(max(0, i - merged + 1), i + 1))
-            if len(tables) > MAX_TABLES:
-                tables.popitem(last=False)
-        tables.move_to_end(key)
-        guess = poses.between(world_T_body[i], world_T_body[j])
-        match = icp.register(
-            tables[key], clouds[j].points_m, clouds[j].normals, guess, range_sigma_m, icp_config,
-            search_radius_m=config.search_radius_m,
+
+    def __init__(
+        self, config: Config, edges: Sequence[Edge], steps: Sequence[tuple[int, int, WheelStep]],
+        errors: WheelErrors, range_sigma_m: float,
+    ) -> None:  # fmt: skip
+        self.config = config
+        self.noise = Noise(range_sigma_m, config.icp.sigma_floor_m)
+        self.wheels = WheelTerms(steps, errors.as_array(), errors.noise_share, config.odometry)
+        told = set(zip(self.wheels.i.tolist(), self.wheels.j.tolist(), strict=True))
+        self._ties = [
+            _tie(edge, (edge.i, edge.j) in told) for edge in edges if edge.kind in ("scan", "heading")
+        ]
+        self._gate_share, self._iterations = 1.0, config.refine.iterations
+        self._loops = [edge for edge in edges if edge.kind == "loop" and edge.weight >= 0.5]
+
+    def round(
+        self, clouds: Sequence[DeskewedScan], origins_m: FloatArray, world_T_body: FloatArray
+    ) -> FloatArray:
+        """(K, 3) keyframes after one more round. ``origins_m`` (K, 2): the laser in the body frame."""
+        gate_m = self.config.refine.search_radius_m * self._gate_share
+        adjusted = adjust(
+            clouds, origins_m, world_T_body, [*self._ties, *self._loops], self.wheels, self.noise,
+            self._iterations, gate_m,
         )  # fmt: skip
-        if match.inlier_ratio < config.min_inlier_ratio or not match.converged:
-            continue
-        moved = poses.between(guess, match.ref_T_src)
-        if math.hypot(moved[0], moved[1]) > config.search_radius_m or abs(moved[2]) > 0.1:
-            continue
-        edges.append(Edge("scan", i, j, match.ref_T_src, match.information))
-    return edges
+        self.noise = adjusted.noise
+        self._loops, self._gate_share, self._iterations = [], 0.5, max(1, self._iterations // 2)
+        return adjusted.world_T_body
 
 
-def with_motion_errors(edges: list[Edge], variances: FloatArray) -> list[Edge]:
-    """Scan edges less sure by what the motion within either scan may have moved it: ``variances`` (K, 3) of each
-    keyframe's pose in its own frame."""
-    out = []
-    for edge in edges:
-        adjoint = se2.adjoint(poses.between(edge.i_T_j, np.zeros(3)))
-        error = adjoint * variances[edge.i] @ adjoint.T + np.diag(variances[edge.j])
-        # (H^-1 + F)^-1 without inverting what may be singular
-        information = edge.information @ np.linalg.inv(np.eye(3) + error @ edge.information)
-        out.append(replace(edge, information=0.5 * (information + information.T)))
-    return out
-
-
-def with_shared_noise(edges: list[Edge]) -> list[Edge]:
-    """Scan edges that know how many tell of the same noise.
-
-    The noise of one scan enters every edge that it is part of, and moves its pose as one. A graph that takes E edges
-    between K poses as independent says that the mean edge is known E / (K - 1) times as well as it is (the sum of
-    what is left of every edge's variance is K - 1 times its own: Foster 1949). So each edge counts as one of half
-    the edges that meet at its ends, on average.
-    """
-    if not edges:
-        return []
-    ends = np.array([(edge.i, edge.j) for edge in edges])
-    met = np.bincount(ends.ravel())
-    return [replace(edge, shared=max(1.0, 0.25 * float(met[edge.i] + met[edge.j]))) for edge in edges]
-
-
-def _reference(clouds: list[DeskewedScan], world_T_body: FloatArray, members: range) -> CellTable:
-    """Search structure over what the keyframes ``members`` saw, in the frame of the last of them."""
-    last = members[-1]
-    if len(members) == 1:
-        return icp.reference_table(np.hstack([clouds[last].points_m, clouds[last].normals]))
-    last_T_members = [poses.between(world_T_body[last], world_T_body[k]) for k in members]
-    return merged_surface([clouds[k] for k in members], last_T_members)
+def _tie(edge: Edge, told: bool) -> Edge:
+    """An edge as the adjustment takes it: of a scan match only what it must say so that nothing falls apart."""
+    if edge.kind == "heading":
+        return edge
+    most = HARDLY_ANYTHING if told else INERTIA
+    if np.all(np.linalg.eigvalsh(edge.information - most) > 0.0):
+        return replace(edge, information=most)
+    return edge
 
 
 def localise_between(
@@ -135,39 +76,63 @@ def localise_between(
     twists: FloatArray,
     world_T_body: FloatArray,
     keyframes: Sequence[Keyframe],
-    pairs: list[tuple[int, int]],
     config: Config,
 ) -> FloatArray:
-    """(S, 3) poses in which the scans between keyframes were matched with the surface of all keyframes
-    around them; keyframes stay where they are.
+    """(S, 3) poses in which the scans between keyframes were matched with the surface of keyframes around them;
+    keyframes stay where they are.
 
     ``world_T_body`` (S, 3) where every scan stands so far, at its reference instant.
     """
-    around: list[set[int]] = [{k} for k in range(len(keyframes))]
-    for i, j in pairs:
-        around[j].add(i)
-        around[i].add(j)
     out = world_T_body.copy()
+    index: IntArray = np.array([k.scan_index for k in keyframes], dtype=np.int64)
+    around = _around(world_T_body[index])
     loose = np.diag(LOCALISE_SIGMAS**-2.0)
-    icp_config, spacing_m = config.icp, config.icp.point_spacing_m
     for a in range(len(keyframes) - 1):
-        first, last = keyframes[a].scan_index + 1, keyframes[a + 1].scan_index
-        if first >= last:
+        if index[a + 1] == index[a] + 1:
             continue
         members = sorted(around[a] | around[a + 1])
-        surface = merged_surface(
-            [keyframes[k].cloud for k in members], [world_T_body[keyframes[k].scan_index] for k in members]
-        )
-        for n in range(first, last):
-            cloud = deskew(scans[n], twists[n], config.deskew, spacing_m)
-            guess = world_T_body[n]
+        surface = merged_surface([keyframes[k].cloud for k in members], list(world_T_body[index[members]]))
+        for n in range(index[a] + 1, index[a + 1]):
+            scan, guess = scans[n], world_T_body[n]
+            cloud = deskew(scan, twists[n], config.deskew, config.icp.point_spacing_m)
             match = icp.register(
-                surface, cloud.points_m, cloud.normals, guess, scans[n].laser.range_sigma_m, icp_config,
-                guess, loose, config.refine.search_radius_m,
+                surface, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m, config.icp, guess, loose,
+                config.refine.search_radius_m,
             )  # fmt: skip
             moved = poses.between(guess, match.ref_T_src)
-            if match.inlier_ratio >= config.refine.min_inlier_ratio and np.all(
-                np.abs(moved) < LOCALISE_SIGMAS * 3.0
-            ):
+            near = np.all(np.abs(moved) < 3.0 * LOCALISE_SIGMAS)
+            if match.inlier_ratio >= config.refine.min_inlier_ratio and near:
                 out[n] = match.ref_T_src
     return out
+
+
+def _around(world_T_body: FloatArray) -> list[set[int]]:
+    """Of each keyframe those whose surface its surroundings are known by: the last few, and the nearest of every
+    other pass by the same spot; and those for which it is one itself."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(world_T_body[:, :2])
+    nearby = cast(Sequence[list[int]], tree.query_ball_point(world_T_body[:, :2], AROUND_M))
+    around: list[set[int]] = [{k} for k in range(len(world_T_body))]
+    for j, near in enumerate(nearby):
+        others = np.array([i for i in near if i < j - SUCCESSIVE], dtype=np.int64)
+        for i in [
+            *range(max(0, j - SUCCESSIVE), j),
+            *(_spread(world_T_body, j, others) if others.size else []),
+        ]:
+            around[j].add(i)
+            around[i].add(j)
+    return around
+
+
+def _spread(world_T_body: FloatArray, j: int, candidates: IntArray) -> list[int]:
+    """The nearest candidates, at most one of any ten successive keyframes; those that look the same way
+    come first."""
+    offset = world_T_body[candidates] - world_T_body[j]
+    cost = np.hypot(offset[:, 0], offset[:, 1]) + 0.5 * np.abs(np.sin(0.5 * offset[:, 2]))
+    chosen: list[int] = []
+    left = candidates[np.argsort(cost)]
+    while left.size and len(chosen) < OTHERS:
+        chosen.append(int(left[0]))
+        left = left[np.abs(left - left[0]) >= 10]
+    return chosen

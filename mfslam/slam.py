@@ -12,7 +12,7 @@ import numpy as np
 
 from mfslam import refine, se2, trajectory
 from mfslam.config import Config
-from mfslam.deskew import acceleration_lever_s2, deskew, reference_offset_s
+from mfslam.deskew import deskew, reference_offset_s
 from mfslam.frontend import Frontend, Keyframe, Step
 from mfslam.graph import PoseGraph, scan_covariances
 from mfslam.kernels import poses
@@ -207,7 +207,7 @@ class Slam:
     # --- the end ------------------------------------------------------------------------------------
 
     def finish(self, tell: Callable[[str], None] = lambda _: None) -> Solution:
-        """Solve the whole graph robustly, deskew with the optimised motion, match and solve again.
+        """Solve the whole graph robustly, then, deskewed with the optimised motion, adjust all keyframes and walls.
 
         ``tell`` is given the name of each stage as it starts. Raises MfslamError without any scan.
         """
@@ -217,11 +217,11 @@ class Slam:
         tell("solving the graph")
         with self.clock.time("final solve"):
             edges = self.graph.optimize(self._motion.revised(self.graph.edges_to_judge()))
-        for _ in range(self.config.refine.passes if len(self.keyframes) > 1 else 0):
-            tell("matching again from the optimised trajectory")
-            edges = self._refine(edges)
-        with self.clock.time("final solve"):
-            edges = self.graph.optimize_satisfied(edges)
+        if self.config.refine.passes and len(self.keyframes) > 1:
+            edges = self._adjust(edges, tell)
+        else:
+            with self.clock.time("final solve"):
+                edges = self.graph.optimize_satisfied(edges)
         tell("placing the scans between keyframes")
         with self.clock.time("trajectory"):
             return self._solution(edges, localise=self.config.refine.localise)
@@ -239,25 +239,28 @@ class Slam:
         for step in self.steps:
             step.match = None
 
-    def _refine(self, edges: list[Edge]) -> list[Edge]:
-        config = self.config
-        world_T_keyframe = self.graph.poses()
-        with self.clock.time("second pass"):
-            motions = self._motions(self._scan_poses(world_T_keyframe))
-            for keyframe in self.keyframes:
-                n = keyframe.scan_index
-                keyframe.cloud = deskew(self.scans[n], motions[n], config.deskew, config.icp.point_spacing_m)
-            pairs = refine.neighbours(world_T_keyframe, config.refine)
-            sigma_m = self.scans[0].laser.range_sigma_m
-            matched = refine.match_neighbours(
-                [k.cloud for k in self.keyframes], world_T_keyframe, pairs, sigma_m, config.icp, config.refine
-            )
-            matched = refine.with_motion_errors(matched, self._motion_variances(motions))
-            matched = refine.with_shared_noise(matched)
-        with self.clock.time("final solve"):
-            chained = {(e.i, e.j) for e in matched}
-            kept = [e for e in edges if e.kind != "scan" or (e.j == e.i + 1 and (e.i, e.j) not in chained)]
-            return self.graph.optimize_with(kept + matched)
+    def _adjust(self, edges: list[Edge], tell: Callable[[str], None]) -> list[Edge]:
+        config, motion = self.config, self._motion
+        refinement = refine.Refinement(
+            config, edges, motion.wheel_steps, motion.wheel_errors, self.scans[0].laser.range_sigma_m
+        )
+        origins_m = np.array([self.scans[k.scan_index].laser.body_T_laser[:2] for k in self.keyframes])
+        for _ in range(config.refine.passes):
+            tell("adjusting all keyframes and their walls together")
+            with self.clock.time("adjustment"):
+                world_T_keyframe = self.graph.poses()
+                motions = self._motions(self._scan_poses(world_T_keyframe))
+                for keyframe in self.keyframes:
+                    n = keyframe.scan_index
+                    keyframe.cloud = deskew(
+                        self.scans[n], motions[n], config.deskew, config.icp.point_spacing_m
+                    )
+                clouds = [keyframe.cloud for keyframe in self.keyframes]
+                world_T_keyframe = refinement.round(clouds, origins_m, world_T_keyframe)
+                if len(refinement.wheels):
+                    motion.wheel_errors.found(refinement.wheels.mean_errors, refinement.wheels.share)
+                edges = self.graph.place(world_T_keyframe, motion.revised(edges))
+        return edges
 
     def _scan_poses(self, world_T_keyframe: FloatArray) -> FloatArray:
         local = np.array([step.local_T_body for step in self.steps])
@@ -277,20 +280,12 @@ class Slam:
             times, world_T_reference, times + offsets.mean(axis=1) - reference, window_s
         )
 
-    def _motion_variances(self, motions: FloatArray) -> FloatArray:
-        """(K, 3) what may be wrong of a keyframe's pose since its scan was not sensed at once."""
-        scans = [self.scans[k.scan_index] for k in self.keyframes]
-        levers_s2 = np.array([acceleration_lever_s2(scan.laser) for scan in scans])
-        accelerations = motions[[k.scan_index for k in self.keyframes], 3:]
-        return np.square(levers_s2[:, None] * accelerations)
-
     def _solution(self, edges: list[Edge], localise: bool = False) -> Solution:
         world_T_reference = self._scan_poses(self.graph.poses())
         motions = self._motions(world_T_reference)
         if localise and len(self.keyframes) > 1:
-            pairs = refine.neighbours(self.graph.poses(), self.config.refine)
             world_T_reference = refine.localise_between(
-                self.scans, motions, world_T_reference, self.keyframes, pairs, self.config
+                self.scans, motions, world_T_reference, self.keyframes, self.config
             )
             motions = self._motions(world_T_reference)
         offsets = np.array([reference_offset_s(s.laser) for s in self.scans])

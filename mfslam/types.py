@@ -208,8 +208,7 @@ EdgeKind = Literal["prior", "odometry", "scan", "loop", "heading"]
 class Edge:
     """One factor between keyframes ``i`` and ``j`` (``i == j`` for unary ones), as it stands at the end.
 
-    ``information`` (3, 3) order x, y, theta: of this edge alone. ``weight``: what the robust solve left of it, 0 to
-    1. ``shared``: in how many edges the noise of its scans is told again; of that many, each counts as one part.
+    ``information`` (3, 3) order x, y, theta. ``weight``: what the robust solve left of it, 0 to 1.
     """
 
     kind: EdgeKind
@@ -218,12 +217,6 @@ class Edge:
     i_T_j: FloatArray
     information: FloatArray
     weight: float = 1.0
-    shared: float = 1.0
-
-    @property
-    def joint_information(self) -> FloatArray:
-        """(3, 3) what the edge adds to a graph in which others tell of the same noise."""
-        return self.information / self.shared
 
 
 @dataclass(frozen=True, slots=True)

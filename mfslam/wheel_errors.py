@@ -74,6 +74,15 @@ class WheelErrors:
         """(3,) how many times noisier than configured the wheels turned out to be; 1 where they are no worse."""
         return np.asarray(np.sqrt(np.maximum(1.0, self.noise_share)))
 
+    def as_array(self) -> FloatArray:
+        """(3,) scale, turn_scale, drift_rad_per_m."""
+        return np.array([self.scale, self.turn_scale, self.drift_rad_per_m])
+
+    def found(self, errors: FloatArray, noise_share: FloatArray) -> None:
+        """What the adjustment of the whole log made of them: ``errors`` (3,) as in `as_array`."""
+        self.scale, self.turn_scale, self.drift_rad_per_m = (float(v) for v in errors)
+        self.noise_share = noise_share
+
     def as_json(self) -> dict[str, object]:
         """What was learned, in the units of a report."""
         return {

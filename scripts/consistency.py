@@ -178,15 +178,12 @@ def run_case(case: Case, settings: Iterable[str] = ()) -> Run:
     told = slam.scans[0].laser
     at_reference = simulation.motion.at(simulation.instants_s + reference_offset_s(told))[solution.keyframes]
     final = solution.edges
-    successive = slam.config.refine.successive
-    scans = [e for e in final if e.kind == "scan"]
     kept = [e for e in final if e.weight >= 0.5]
     out = {
         "scan, online": of_edges([e for e in online if e.kind == "scan"], at_reference),
         "wheels": of_edges([e for e in kept if e.kind == "odometry"], truth),
         "loop": of_edges([e for e in kept if e.kind == "loop"], truth),
-        "scan, next": of_edges([e for e in scans if e.j - e.i <= successive], truth),
-        "scan, other pass": of_edges([e for e in scans if e.j - e.i > successive], truth),
+        "scan": of_edges([e for e in final if e.kind == "scan"], truth),
     }
     out |= of_trajectory(solution.world_T_body[solution.keyframes], truth, final)
     absolute = ate(simulation.truth_world_T_body, solution.world_T_body)

@@ -196,7 +196,7 @@ def test_ctrl_c_while_reading_leaves_the_map_so_far(long_log: Path, tmp_path: Pa
 
 def test_ctrl_c_while_refining_writes_the_map_as_it_is(long_log: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    status, said = interrupt([*MFSLAM, "map", str(long_log), "-o", str(out)], "matching again")
+    status, said = interrupt([*MFSLAM, "map", str(long_log), "-o", str(out)], "adjusting all keyframes")
     assert status == 130, said
     assert {path.name for path in out.iterdir()} == RUN_FILES
     summary = json.loads((out / "summary.json").read_text())

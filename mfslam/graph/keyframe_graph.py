@@ -130,6 +130,16 @@ class PoseGraph:
         weights = self._decide(edges)
         return [dataclasses.replace(e, weight=float(w)) for e, w in zip(edges, weights, strict=True)]
 
+    def place(self, world_T_body: FloatArray, edges: list[Edge]) -> list[Edge]:
+        """Take over poses (K, 3) that were found elsewhere. Returns the edges with what their kernels leave of them
+        there, nothing of loops that are not satisfied; those that the solve refused stay refused."""
+        self._poses[:] = world_T_body
+        weights = np.where(self._violated(edges), 0.0, self._kernel_weights(edges))
+        return [
+            e if e.weight < 0.5 else dataclasses.replace(e, weight=float(w))
+            for e, w in zip(edges, weights, strict=True)
+        ]
+
     def optimize_with(self, edges: list[Edge]) -> list[Edge]:
         """Batch solve from the poses as they stand with these edges instead, robust on scans and loops.
 
@@ -224,7 +234,7 @@ class PoseGraph:
                 return factors.compass_factor(edge.i, float(edge.i_T_j[2]), sigma_rad)
             return factors.gyro_factor(edge.i, edge.j, float(edge.i_T_j[2]), sigma_rad)
         make = factors.wheel_odometry_factor if edge.kind == "odometry" else factors.scan_match_factor
-        factor = make(edge.i, edge.j, edge.i_T_j, edge.joint_information)
+        factor = make(edge.i, edge.j, edge.i_T_j, edge.information)
         if robust:
             noise = factors.robust_noise(factor.noiseModel(), "cauchy", self.config.loop_kernel_sigmas)
             return gtsam.BetweenFactorPose2(edge.i, edge.j, gtsam.Pose2(*edge.i_T_j), noise)
@@ -278,7 +288,7 @@ class PoseGraph:
     def _chi2(self, edges: list[Edge]) -> FloatArray:
         """(E,) of edges between two keyframes, at the poses as they stand."""
         error = self._errors(edges)
-        information = np.array([e.joint_information for e in edges]).reshape(-1, 3, 3)
+        information = np.array([e.information for e in edges]).reshape(-1, 3, 3)
         return np.asarray(np.einsum("ni,nij,nj->n", error, information, error))
 
     def _kernel_weights(self, edges: list[Edge]) -> FloatArray:

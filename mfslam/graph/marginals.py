@@ -26,7 +26,7 @@ class GraphInformation:
         used = [e for e in edges if e.weight > 0.0]
         self.i = np.array([e.i for e in used], dtype=np.int64)
         self.j = np.array([e.j for e in used], dtype=np.int64)
-        self.jj = np.array([e.weight * e.joint_information for e in used], dtype=np.float64).reshape(-1, 3, 3)
+        self.jj = np.array([e.weight * e.information for e in used], dtype=np.float64).reshape(-1, 3, 3)
         # the residual log(measured^-1 i_T_j) moves by xi_j - Ad(j_T_i) xi_i; that of a unary edge by xi_j alone
         of_i = -se2.adjoint(se2.between(world_T_body[self.j], world_T_body[self.i]))
         of_i[self.i == self.j] = 0.0
@@ -107,7 +107,7 @@ def scan_covariances(world_T_body: FloatArray, keyframes: IntArray, edges: list[
     steps = np.tile(FLOOR * np.eye(3), (max(0, len(keyframes) - 1), 1, 1))
     for edge in edges:
         if edge.j == edge.i + 1:
-            steps[edge.i] += edge.weight * edge.joint_information
+            steps[edge.i] += edge.weight * edge.information
     inverse: FloatArray = np.asarray(np.linalg.inv(steps), dtype=np.float64)
     return spread_covariances(marginals, inverse, world_T_body, keyframes)
 

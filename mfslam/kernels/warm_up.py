@@ -19,6 +19,7 @@ from mfslam.kernels import (
     evidence,
     glass,
     matrices,
+    partners,
     patches,
     poses,
     raytrace,
@@ -26,6 +27,7 @@ from mfslam.kernels import (
     scans,
     selected_inverse,
     surfels,
+    wall_patches,
     walls,
 )
 from mfslam.types import BoolArray, FloatArray
@@ -69,6 +71,7 @@ def call_all() -> None:
     _call_poses(points, normals)
     _call_registration(points, normals, table)
     _call_loop_closure(points)
+    _call_adjustment(points, normals, table)
     _call_marginals()
     _call_mapping()
 
@@ -124,6 +127,20 @@ def _call_loop_closure(points: FloatArray) -> None:
     evidence.agreement(grid, corner, 0.1, pose, points)
     ends = np.array([0, 1])
     reach.relative_sigmas(0, np.zeros((2, 3)), ends, np.array([-1, -1]), ends, np.ones((1, 2)))
+
+
+def _call_adjustment(points: FloatArray, normals: FloatArray, table: cells.CellTable) -> None:
+    count, scan = len(points), np.zeros((1, 3))
+    first = np.array([0, count])
+    patch, seen = partners.nothing_known(count)
+    seeds = cells.build_cells(wall_patches.seed_patches(table, 0.25, 0.25), 0.25)
+    partners.find_partners(*seeds, 0.25, np.hstack([points, normals]), 0.25, 0.7, patch, seen)
+    size = len(seeds[1])
+    lines = wall_patches.fit_patches(size, points, first, scan, patch, np.empty((0, 5)), 0.1)
+    groups = wall_patches.group_sums(
+        points, np.zeros((1, 2)), normals, first, scan, patch, lines, 0.02, 0.005, 0.1
+    )
+    wall_patches.pose_equations(1, size, *groups)
 
 
 def _call_marginals() -> None:

@@ -24,7 +24,7 @@ def graph_text(world_T_keyframe: FloatArray, edges: list[Edge]) -> str:
     poses = np.asarray(world_T_keyframe).tolist()
     used = [edge for edge in edges if edge.weight > 0]
     out = [f"VERTEX_SE2 {key} {_numbers(pose)}" for key, pose in enumerate(poses)]
-    out += [_edge_line(edge, edge.weight * edge.joint_information) for edge in used]
+    out += [_edge_line(edge, edge.weight * edge.information) for edge in used]
     # these come last: gtsam's reader loses the edges that follow a FIX or a comment
     if poses and not any(edge.kind == "prior" for edge in used):
         out.append("FIX 0")

@@ -1,0 +1,6 @@
+"""Joint adjustment: all keyframes, the walls that they saw and the wheels' errors, at once."""
+
+from mfslam.adjustment.adjust import Adjusted, Noise, adjust
+from mfslam.adjustment.wheels import WheelTerms
+
+__all__ = ["Adjusted", "Noise", "WheelTerms", "adjust"]

@@ -1,0 +1,188 @@
+"""What the wheels say in the adjustment: their steps, their systematic errors as unknowns, their noise as found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from mfslam import se2
+from mfslam.adjustment.equations import Solver
+from mfslam.config import OdometryConfig
+from mfslam.odometry import step_sigmas
+from mfslam.types import FloatArray, IntArray
+from mfslam.wheel_errors import MEMORY_M, WheelStep
+
+WINDOW_M, WINDOW_RAD = 1.0, 0.5  # of driving, over which the wheels' noise is counted: slip lasts for a while
+KERNEL_SIGMAS = 3.0  # of the Cauchy kernel on wheel steps
+LEAST_SHARE = 1e-3  # of the configured variance that wheels can be found to have
+PROBED, PROBE_ERROR = 400, 0.1  # errors in all random probes at least
+PRIOR = 0.1  # of an error that the configured noise counts as: it is meant to be too large, not too small
+SMALL = 1e-6
+
+
+class WheelTerms:
+    """Wheel steps between successive keyframes.
+
+    The unknowns of every ``MEMORY_M`` of driving are scale, turn_scale and drift_rad_per_m as in
+    `WheelErrors`; ``errors`` (W, 3) holds them. ``share`` (3,): variance of what remains of x, y, theta, over
+    the configured one (`factor_variances`).
+    """
+
+    def __init__(
+        self, steps: Sequence[tuple[int, int, WheelStep]], errors: FloatArray, share: FloatArray,
+        config: OdometryConfig,
+    ) -> None:  # fmt: skip
+        used = [(i, j, step) for i, j, step in steps if not step.jumped]
+        self.i = np.array([i for i, _, _ in used], dtype=np.int64)
+        self.j = np.array([j for _, j, _ in used], dtype=np.int64)
+        self.told = np.array([step.told for _, _, step in used]).reshape(-1, 3)
+        travelled_m = np.cumsum(np.hypot(self.told[:, 0], self.told[:, 1]))
+        self.stretch = (travelled_m / MEMORY_M).astype(np.int64)
+        self.errors = np.tile(errors, (1 + int(self.stretch.max(initial=-1)), 1))
+        self.share = share.copy()
+        self._start = errors
+        sigmas = np.array([step_sigmas(told, config) for told in self.told]).reshape(-1, 3)
+        self._variances = sigmas**2 / config.white_share
+        self._learn = config.learn_errors
+        self._prior = np.diag(
+            [
+                config.sigma_translation_per_m**-2,
+                config.sigma_rotation_per_rad**-2,
+                config.sigma_rotation_per_m**-2,
+            ]
+        )
+
+        self._cut_windows()
+
+    def __len__(self) -> int:
+        return len(self.told)
+
+    @property
+    def mean_errors(self) -> FloatArray:
+        """(3,) over the whole log."""
+        return np.asarray(self.errors.mean(axis=0))
+
+    def variances(self) -> FloatArray:
+        """(N, 3) of the steps as told. Where on its way a step turned is not known: what the correction of the turn
+        does sideways is so uncertain."""
+        out = self.share * self._variances
+        _, turn_scale, drift = self.errors[self.stretch].T
+        added = turn_scale * self.told[:, 2] + drift * self.told[:, 0]
+        out[:, 1] += (0.5 * self.told[:, 0] * added) ** 2
+        return out
+
+    def as_told(self, moved: FloatArray, errors: FloatArray) -> FloatArray:
+        """(N, 3) what wheels with systematic ``errors`` (W, 3) tell of the true steps (N, 3): the inverse of
+        `WheelErrors.corrected`. The true steps are the ones to go from: noise in what is told would make its own
+        errors look systematic."""
+        scale, turn_scale, drift = errors[self.stretch].T
+        x, y, theta = moved.T
+        told = (theta - drift * x / (1.0 + scale)) / (1.0 + turn_scale)
+        c, s = np.cos(0.5 * (told - theta)) / (1.0 + scale), np.sin(0.5 * (told - theta)) / (1.0 + scale)
+        return np.stack([c * x - s * y, s * x + c * y, told], axis=1)
+
+    def error(self, poses: FloatArray, errors: FloatArray) -> FloatArray:
+        """(N, 3) of what was told against poses (K, 3), in the frame of the later one."""
+        moved = se2.between(poses[self.i], poses[self.j])
+        return se2.log(se2.between(self.told, self.as_told(moved, errors)))
+
+    def add_to(self, add: Callable[..., None], poses: FloatArray, first_unknown: int) -> None:
+        """The terms of all steps, and of what the errors are before anything is known of them."""
+        error = self.error(poses, self.errors)
+        information = 1.0 / self.variances()
+        weight = 1.0 / (1.0 + np.sum(error**2 * information, axis=1) / KERNEL_SIGMAS**2)
+        by_error = np.stack(
+            [(self.error(poses, self.errors + SMALL * unit) - error) / SMALL for unit in np.eye(3)], axis=2
+        )
+        before, after = between_jacobians(se2.between(poses[self.i], poses[self.j]))
+        add(
+            [(self.i, before), (self.j, after), (first_unknown + self.stretch, by_error)],
+            error,
+            weight[:, None, None] * information[:, :, None] * np.eye(3),
+        )
+        count = len(self.errors)
+        add(
+            [(first_unknown + np.arange(count), np.tile(np.eye(3), (count, 1, 1)))],
+            self.errors - self._start,
+            np.tile(self._prior, (count, 1, 1)),
+        )
+
+    def learn_noise(self, poses: FloatArray, solver: Solver, unknowns: int) -> None:
+        """The shares that the residuals show (variance component estimation).
+
+        By single steps, which tell most; by windows of driving where these surely show more: slip that lasts.
+        """
+        if not self._learn or not len(self._first):
+            return
+        error, variances = self.error(poses, self.errors), self.variances()
+        by_step, _ = self._shares(poses, solver, unknowns, self.i, self.j, error, variances)
+        carried = (
+            (self._carry @ error[:, :, None])[:, :, 0],
+            (self._carry**2 @ variances[:, :, None])[:, :, 0],
+        )
+        of_windows = [np.add.reduceat(terms, self._starts)[self._whole] for terms in carried]
+        by_window, sigma = self._shares(
+            poses, solver, unknowns, self.i[self._first], self.j[self._last], *of_windows
+        )
+        self.share = np.maximum(np.maximum(by_step, by_window * (1.0 - 2.0 * sigma)), LEAST_SHARE)
+
+    def _shares(
+        self, poses: FloatArray, solver: Solver, unknowns: int, a: IntArray, b: IntArray, error: FloatArray,
+        variances: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """(3,) shares by the errors (N, 3) of motions from keyframes ``a`` to ``b``, and their relative sigmas.
+
+        E(sum e^2 / v) is the number of errors less trace(C A), what the fit has taken of them; C the
+        covariance of all unknowns, A the errors' own information, the trace by random probes.
+        """
+        before, after = between_jacobians(se2.between(poses[a], poses[b]))
+        random = np.random.default_rng(0)
+        probes = math.ceil(PROBED / len(a))
+        share, relative_sigma = self.share.copy(), np.zeros(3)
+        for c in range(3):
+            sigma = np.sqrt(variances[:, c])
+            taken = 0.0
+            for _ in range(probes):
+                u = (random.integers(0, 2, len(a)) * 2.0 - 1.0) / sigma
+                probe = np.zeros((unknowns, 3))
+                np.add.at(probe, a, u[:, None] * before[:, c])
+                np.add.at(probe, b, u[:, None] * after[:, c])
+                taken += float(probe.ravel() @ solver.solve(probe.ravel(), PROBE_ERROR)) / probes
+            left = max(0.0, len(a) - taken)
+            normalised = error[:, c] ** 2 / variances[:, c]
+            chi2 = float(np.sum(normalised / (1.0 + normalised / KERNEL_SIGMAS**2)))
+            share[c] *= (PRIOR / share[c] + chi2) / (PRIOR + left)
+            relative_sigma[c] = math.sqrt(2.0 / (PRIOR + left))
+        return share, relative_sigma
+
+    def _cut_windows(self) -> None:
+        """Windows of unbroken driving: first step of each (``_starts``), which of them are ``_whole``, their
+        ``_first`` and ``_last`` steps, and what carries an error of each step to the end of its window."""
+        starts, whole, last = [], [], []
+        self._carry = np.empty((len(self), 3, 3))
+        n = 0
+        while n < len(self):
+            starts.append(n)
+            far = turned = 0.0
+            while n < len(self) and (n == starts[-1] or self.i[n] == self.j[n - 1]):
+                far += abs(float(self.told[n, 0]))
+                turned += abs(float(self.told[n, 2]))
+                n += 1
+                if far >= WINDOW_M or turned >= WINDOW_RAD:
+                    break
+            whole.append(far >= WINDOW_M or turned >= WINDOW_RAD)
+            last.append(n - 1)
+            rest = np.zeros(3)
+            for k in range(n - 1, starts[-1] - 1, -1):
+                self._carry[k] = se2.adjoint(se2.inverse(rest))
+                rest = se2.compose(self.told[k], rest)
+        self._starts, self._whole = np.array(starts, dtype=np.int64), np.array(whole, dtype=np.bool_)
+        self._first, self._last = self._starts[self._whole], np.array(last, dtype=np.int64)[self._whole]
+
+
+def between_jacobians(i_T_j: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(N, 3, 3) of log(measured^-1 i_T_j) by right perturbations of pose i and of pose j, for small errors."""
+    before = -se2.adjoint(se2.inverse(i_T_j))
+    return before, np.tile(np.eye(3), (len(i_T_j), 1, 1))

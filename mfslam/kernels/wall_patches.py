@@ -1,0 +1,286 @@
+"""Patches of wall that many scans saw: sought, fitted, and what they say of the poses of those scans."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from mfslam.kernels.align import geman_mcclure
+from mfslam.kernels.cells import CellTable, cell_key, find_slot
+from mfslam.types import FloatArray, IntArray
+
+ALIKE_COS = 0.85  # normals of one patch
+SUMS = 24  # of a group: see `group_sums`
+
+
+@njit(cache=True, nogil=True)
+def seed_patches(table: CellTable, cell: float, length: float) -> FloatArray:
+    """Oriented points (S, 4), about ``length`` apart, that stand for the surface in a table: each the mean of
+    its like-minded neighbours."""
+    index, rows = table
+    m = rows.shape[0]
+    out = np.empty((m, 4))
+    taken = np.zeros(m, np.bool_)
+    count = 0
+    radius = 0.5 * length
+    for i in range(m):
+        x, y, nx, ny = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
+        if taken[i] or (nx == 0.0 and ny == 0.0):
+            continue
+        n = 0
+        mx = my = sx = sy = 0.0
+        for ix in range(math.floor((x - radius) / cell), math.floor((x + radius) / cell) + 1):
+            for iy in range(math.floor((y - radius) / cell), math.floor((y + radius) / cell) + 1):
+                slot = find_slot(index, cell_key(ix, iy))
+                for q in range(index[slot, 1], index[slot, 2]):  # of a free slot: none
+                    dx, dy = rows[q, 0] - x, rows[q, 1] - y
+                    if dx * dx + dy * dy > radius * radius or nx * rows[q, 2] + ny * rows[q, 3] < ALIKE_COS:
+                        continue
+                    taken[q] = True
+                    n += 1
+                    mx += rows[q, 0]
+                    my += rows[q, 1]
+                    sx += rows[q, 2]
+                    sy += rows[q, 3]
+        norm = math.sqrt(sx * sx + sy * sy)
+        out[count, 0], out[count, 1] = mx / n, my / n
+        out[count, 2], out[count, 3] = sx / norm, sy / norm
+        count += 1
+    return out[:count]
+
+
+@njit(cache=True, nogil=True)
+def fit_patches(
+    count: int, points: FloatArray, first: IntArray, poses: FloatArray, patch: IntArray, lines: FloatArray,
+    scale: float,
+) -> FloatArray:  # fmt: skip
+    """Line (S, 5) through the points of every patch: centre, unit normal, variance across it.
+
+    ``lines``: those found before, for the robust weights of this fit (Geman-McClure of ``scale``, m); with
+    no rows all points weigh the same. A patch without points has variance -1.
+    """
+    sums = np.zeros((count, 6))
+    for k in range(poses.shape[0]):
+        c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        for i in range(first[k], first[k + 1]):
+            q = patch[i]
+            if q < 0:
+                continue
+            x = poses[k, 0] + c * points[i, 0] - s * points[i, 1]
+            y = poses[k, 1] + s * points[i, 0] + c * points[i, 1]
+            w = 1.0
+            if lines.shape[0]:
+                r = lines[q, 2] * (x - lines[q, 0]) + lines[q, 3] * (y - lines[q, 1])
+                w = geman_mcclure(r, scale)
+            sums[q, 0] += w
+            sums[q, 1] += w * x
+            sums[q, 2] += w * y
+            sums[q, 3] += w * x * x
+            sums[q, 4] += w * x * y
+            sums[q, 5] += w * y * y
+    out = np.zeros((count, 5))
+    for q in range(count):
+        n = sums[q, 0]
+        if n <= 0.0:
+            out[q, 4] = -1.0
+            continue
+        mx, my = sums[q, 1] / n, sums[q, 2] / n
+        cxx, cxy, cyy = sums[q, 3] / n - mx * mx, sums[q, 4] / n - mx * my, sums[q, 5] / n - my * my
+        along = 0.5 * math.atan2(2.0 * cxy, cxx - cyy)
+        root = math.sqrt(0.25 * (cxx - cyy) * (cxx - cyy) + cxy * cxy)
+        out[q, 0], out[q, 1] = mx, my
+        out[q, 2], out[q, 3] = -math.sin(along), math.cos(along)
+        out[q, 4] = max(0.0, 0.5 * (cxx + cyy) - root)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def group_sums(
+    points: FloatArray, origins: FloatArray, normals: FloatArray, first: IntArray, poses: FloatArray,
+    patch: IntArray, lines: FloatArray, range_sigma: float, patch_sigma: float, kernel_m: float,
+) -> tuple[IntArray, IntArray, FloatArray]:  # fmt: skip
+    """Sums over each group: the points of one scan on one patch.
+
+    The residual of a point is r = n . (T p - q), under a Geman-McClure kernel of scale ``kernel_m``. It varies by the part of ``range_sigma`` across the wall
+    and, all of a group alike, by ``patch_sigma``. ``origins`` (K, 2): the laser in the frame of its scan.
+    With J = dr/d(pose), a right perturbation, and u along the line, the line's own unknowns being its
+    offset and its turn, the SUMS columns are: upper triangle of sum w J J^T (6), of w J (-1, -u) offset then
+    turn (3 + 3), of the line's block (3), -sum w J r (3), sum w r, sum w u r; and with the kernel's weight k alone sum k,
+    sum k r, sum k r^2, sum k slant^2, slant being the part of the range across the wall.
+    Returns scan and patch (M,) of each group, in order of scans, and the sums (M, SUMS).
+    """
+    total = points.shape[0]
+    scan_of, patch_of = np.empty(total, np.int64), np.empty(total, np.int64)
+    sums = np.zeros((total, SUMS))
+    group = np.full(lines.shape[0], -1, np.int64)
+    size = np.zeros(lines.shape[0], np.int64)
+    count = 0
+    for k in range(poses.shape[0]):
+        for i in range(first[k], first[k + 1]):
+            if patch[i] >= 0:
+                size[patch[i]] = 0
+        for i in range(first[k], first[k + 1]):
+            if patch[i] >= 0:
+                size[patch[i]] += 1
+        c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        begin = count
+        for i in range(first[k], first[k + 1]):
+            q = patch[i]
+            if q < 0:
+                continue
+            px, py = points[i, 0], points[i, 1]
+            dx = poses[k, 0] + c * px - s * py - lines[q, 0]
+            dy = poses[k, 1] + s * px + c * py - lines[q, 1]
+            nx, ny = lines[q, 2], lines[q, 3]
+            r, u = nx * dx + ny * dy, -ny * dx + nx * dy
+            bx, by = px - origins[k, 0], py - origins[k, 1]
+            slant = (bx * normals[i, 0] + by * normals[i, 1]) / math.sqrt(bx * bx + by * by)
+            own = range_sigma * slant
+            shared = size[q] * patch_sigma * patch_sigma
+            kernel = geman_mcclure(r, kernel_m)
+            w = kernel / (own * own + shared)
+            j0, j1 = c * nx + s * ny, -s * nx + c * ny
+            j2 = j1 * px - j0 * py
+            g = group[q]
+            if g < begin or patch_of[g] != q:
+                g = count
+                count += 1
+                group[q] = g
+                scan_of[g], patch_of[g] = k, q
+            row = sums[g]
+            row[0] += w * j0 * j0
+            row[1] += w * j0 * j1
+            row[2] += w * j0 * j2
+            row[3] += w * j1 * j1
+            row[4] += w * j1 * j2
+            row[5] += w * j2 * j2
+            row[6] -= w * j0
+            row[7] -= w * j1
+            row[8] -= w * j2
+            row[9] -= w * j0 * u
+            row[10] -= w * j1 * u
+            row[11] -= w * j2 * u
+            row[12] += w
+            row[13] += w * u
+            row[14] += w * u * u
+            row[15] -= w * j0 * r
+            row[16] -= w * j1 * r
+            row[17] -= w * j2 * r
+            row[18] += w * r
+            row[19] += w * u * r
+            row[20] += kernel
+            row[21] += kernel * r
+            row[22] += kernel * r * r
+            row[23] += kernel * slant * slant
+    return scan_of[:count], patch_of[:count], sums[:count]
+
+
+@njit
+def _roots(patches: int, patch_of: IntArray, sums: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Per patch the lower triangle (3) of a root of the inverse of the line's block, zero where fewer than
+    two scans saw it; and that root's transpose times the line's gradient (2)."""
+    block, gradient = np.zeros((patches, 3)), np.zeros((patches, 2))
+    scans = np.zeros(patches, np.int64)
+    for g in range(patch_of.shape[0]):
+        q = patch_of[g]
+        scans[q] += 1
+        for u in range(3):
+            block[q, u] += sums[g, 12 + u]
+        for u in range(2):
+            gradient[q, u] += sums[g, 18 + u]
+    root, rooted = np.zeros((patches, 3)), np.zeros((patches, 2))
+    for q in range(patches):
+        a, b, d = block[q, 0], block[q, 1], block[q, 2]
+        det = a * d - b * b
+        if scans[q] < 2 or not det > 1e-9 * a * d:
+            continue
+        root[q, 0] = math.sqrt(d / det)
+        root[q, 1] = -b / det / root[q, 0]
+        root[q, 2] = math.sqrt(max(0.0, a / det - root[q, 1] * root[q, 1]))
+        rooted[q, 0] = root[q, 0] * gradient[q, 0] + root[q, 1] * gradient[q, 1]
+        rooted[q, 1] = root[q, 2] * gradient[q, 1]
+    return root, rooted
+
+
+@njit(cache=True, nogil=True)
+def pose_equations(
+    scans: int, patches: int, scan_of: IntArray, patch_of: IntArray, sums: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """What the patches say of the poses, their lines being eliminated (Schur complement).
+
+    Returns the information as compressed rows of blocks: first block of each row (K + 1,), column of each
+    block, the blocks (B, 3, 3); and the right-hand side (K, 3).
+    """
+    groups = patch_of.shape[0]
+    root, rooted = _roots(patches, patch_of, sums)
+    cross = np.zeros((groups, 3, 2))  # pose against line, times the root
+    rhs = np.zeros((scans, 3))
+    row_first, patch_first = np.zeros(scans + 1, np.int64), np.zeros(patches + 1, np.int64)
+    for g in range(groups):
+        row_first[scan_of[g] + 1] += 1
+        patch_first[patch_of[g] + 1] += 1
+        q = patch_of[g]
+        if root[q, 0] == 0.0:
+            continue
+        for u in range(3):
+            cross[g, u, 0] = sums[g, 6 + u] * root[q, 0] + sums[g, 9 + u] * root[q, 1]
+            cross[g, u, 1] = sums[g, 9 + u] * root[q, 2]
+            rhs[scan_of[g], u] += (
+                sums[g, 15 + u] - cross[g, u, 0] * rooted[q, 0] - cross[g, u, 1] * rooted[q, 1]
+            )
+    for k in range(scans):
+        row_first[k + 1] += row_first[k]
+    for q in range(patches):
+        patch_first[q + 1] += patch_first[q]
+    by_patch, fill = np.empty(groups, np.int64), patch_first.copy()
+    for g in range(groups):  # groups come in order of scans, so they do within each patch
+        by_patch[fill[patch_of[g]]] = g
+        fill[patch_of[g]] += 1
+    first = np.zeros(scans + 1, np.int64)
+    mark = np.full(scans, -1, np.int64)
+    for k in range(scans):  # size of every row, the diagonal first
+        mark[k] = k
+        first[k + 1] = first[k] + 1
+        for g in range(row_first[k], row_first[k + 1]):
+            q = patch_of[g]
+            if root[q, 0] == 0.0:
+                continue
+            for at in range(patch_first[q], patch_first[q + 1]):
+                other = scan_of[by_patch[at]]
+                if mark[other] != k:
+                    mark[other] = k
+                    first[k + 1] += 1
+    column, blocks = np.empty(first[scans], np.int64), np.zeros((first[scans], 3, 3))
+    slot = np.full(scans, -1, np.int64)
+    for k in range(scans):
+        free = first[k] + 1
+        column[first[k]] = k
+        slot[k] = first[k]
+        for g in range(row_first[k], row_first[k + 1]):
+            q = patch_of[g]
+            if root[q, 0] == 0.0:
+                continue
+            for at in range(patch_first[q], patch_first[q + 1]):
+                h = by_patch[at]
+                other = scan_of[h]
+                b = slot[other]
+                if b < first[k] or b >= free or column[b] != other:
+                    b = free
+                    free += 1
+                    slot[other] = b
+                    column[b] = other
+                for u in range(3):
+                    for v in range(3):
+                        blocks[b, u, v] -= cross[g, u, 0] * cross[h, v, 0] + cross[g, u, 1] * cross[h, v, 1]
+                if other == k:
+                    own = sums[g]
+                    blocks[b, 0, 0] += own[0]
+                    blocks[b, 0, 1] += own[1]
+                    blocks[b, 1, 0] += own[1]
+                    blocks[b, 0, 2] += own[2]
+                    blocks[b, 2, 0] += own[2]
+                    blocks[b, 1, 1] += own[3]
+                    blocks[b, 1, 2] += own[4]
+                    blocks[b, 2, 1] += own[4]
+                    blocks[b, 2, 2] += own[5]
+    return first, column, blocks, rhs
