@@ -8,6 +8,7 @@ import math
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -127,8 +128,8 @@ class LoopCloser:
                 found.append(loop)
         believed: list[Loop] = []
         for loop in self._unambiguous(found, world_T_body):
-            inside = self._passes_gate(loop, world_T_body, relative_covariance)
-            believed += self._with_partners(loop, inside)
+            is_inside = partial(self._passes_gate, loop, world_T_body, relative_covariance)
+            believed += self._with_partners(loop, is_inside)
         self.statistics.accepted += len(believed)
         self._tied_at_m.update((loop.i, self.travel_m[loop.j]) for loop in believed)
         return believed
@@ -291,26 +292,28 @@ class LoopCloser:
         covariance = relative_covariance(loop.i, loop.j) + np.linalg.inv(own)
         return float(error @ np.linalg.solve(covariance, error)) < self.gate_chi2
 
-    def _with_partners(self, loop: Loop, inside_gate: bool) -> list[Loop]:
+    def _with_partners(self, loop: Loop, is_inside: Callable[[], bool]) -> list[Loop]:
         """The loop and those that waited for it, once enough of them agree.
 
-        One that lies outside the joint marginal needs twice as many: then not the loop is wrong but a
-        match on the way, and the robust solve is left to find it.
+        One that lies outside the joint marginal (``is_inside``: whether it does, asked only where that decides)
+        needs twice as many: then not the loop is wrong but a match on the way, and the robust solve is left to
+        find it.
         """
         config = self.config
-        if inside_gate and loop.window_m <= config.wide_window_m:
+        is_sure = loop.window_m <= config.wide_window_m
+        if is_sure and is_inside():
             return [loop]
-        needed = config.partners if inside_gate else 2 * config.partners
         # those that wait from too far back can agree with nothing any more
         newest_m = self.travel_m[loop.j]
         self._waiting = [w for w in self._waiting if newest_m - self.travel_m[w.j] <= AGREE_WITHIN_M]
         agreeing = [w for w in self._waiting if self._agree(w, loop)]
         self._waiting.append(loop)
-        distinct = {w.j for w in agreeing}
-        if len(distinct) < needed:
-            self.statistics.refuse(
-                "waits for others that agree" if inside_gate else "outside the joint marginal"
-            )
+        distinct = len({w.j for w in agreeing})
+        if not is_sure and distinct < config.partners:
+            self.statistics.refuse("waits for others that agree")
+            return []
+        if distinct < 2 * config.partners and (is_sure or not is_inside()):
+            self.statistics.refuse("outside the joint marginal")
             return []
         self._waiting = [w for w in self._waiting if w is not loop and w not in agreeing]
         return [*agreeing, loop]
