@@ -64,6 +64,7 @@ class Step:
 
     ``blind_s``: how long nothing had told where the robot goes, when it was found again or given up; else 0.
     ``found``: whether it was found again; if not, nothing ties this scan to those before.
+    ``twist`` (3,): motion through the scan that it was deskewed with; None: as predicted.
     """
 
     local_T_body: FloatArray
@@ -73,6 +74,7 @@ class Step:
     odometry_jump: bool = False
     blind_s: float = 0.0
     found: bool = True
+    twist: FloatArray | None = None
 
 
 @dataclass(eq=False)
@@ -124,6 +126,7 @@ class Frontend:
                 more = (better.inlier_ratio - match.inlier_ratio) * len(cloud.points_m)
                 if surprise_there <= SURPRISE_GATE or more >= JUMP_POINTS:
                     match, step, surprise, searched = better, better_step, surprise_there, True
+        twist = motion.twist
         jump = motion.step is not None and surprise > SURPRISE_GATE
         if jump:
             self.wheels_trusted = False
@@ -143,7 +146,7 @@ class Frontend:
         ) >= math.radians(config.frontend.keyframe_angle_deg)
         if is_keyframe:
             self._add_keyframe(index, cloud)
-        return Step(self.local_T_body, match, is_keyframe, searched, jump)
+        return Step(self.local_T_body, match, is_keyframe, searched, jump, twist=twist)
 
     def _motion_within(
         self, scan: Scan, match: Match, step: FloatArray, motion: PredictedMotion, searched: bool

@@ -124,6 +124,7 @@ class Slam:
             motion = self._motion.predict(scan, self._frontend.local_T_body, self._frontend.last_step)
             index = len(self.scans)
             step = self._frontend.process(index, scan, motion)
+            step.twist = motion.twist if step.twist is None else step.twist
             self.scans.append(scan)
             self.steps.append(step)
             if step.odometry_jump:

@@ -22,6 +22,7 @@ from mfslam.commands.settings import config_for, topics_of
 from mfslam.config import Config
 from mfslam.kernels.warm_up import compile_once
 from mfslam.mapping import render_map
+from mfslam.metrics import compare_motions
 from mfslam.observability import open_stretches
 from mfslam.output import check_writable, json_text, run_folder, summarise, write_atomically, write_run
 from mfslam.slam import Slam, Solution
@@ -71,6 +72,7 @@ def map_log(
     give_memory_back()
     progress.tell("drawing the map ...")
     with slam.clock.time("map"):
+        sharpness = compare_deskewing(slam, solution, config)
         grid, points = render_map(slam.scans, solution.world_T_reference, solution.twists, config, findings)
     if not len(points.points_m):
         raise MfslamError(
@@ -86,7 +88,19 @@ def map_log(
     )  # fmt: skip
     interrupted = interrupts.count > 0
     result.summary = run_summary(log, slam, solution, interrupted, time.process_time() - start_cpu_s)
+    result.summary["deskew"] = sharpness
     return Outcome(result, summarise(result), interrupted)
+
+
+def compare_deskewing(slam: Slam, solution: Solution, config: Config) -> dict[str, Any]:
+    """How sharp the hits are from the final poses, without deskewing and with the motion as it was known."""
+    while_mapping = np.array([np.zeros(3) if step.twist is None else step.twist[:3] for step in slam.steps])
+    motions = {
+        "off": np.zeros_like(while_mapping),
+        "while_mapping": while_mapping,
+        "optimised": solution.twists,
+    }
+    return compare_motions(slam.scans, solution.world_T_reference, motions, config)
 
 
 def read_log(log: Log, slam: Slam, progress: Progress, interrupts: Interrupts, findings: Findings) -> None:
