@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from drivers.simulator.sensing import HIT_KINDS, BeamTruth
 from drivers.simulator.world import World
@@ -247,3 +248,25 @@ def _grown(cells: BoolArray) -> BoolArray:
 
     grown: BoolArray = ndimage.binary_dilation(cells, np.ones((3, 3), np.bool_))
     return grown
+
+
+def picture(grid: OccupancyGrid, truth: Truth) -> npt.NDArray[np.uint8]:
+    """The map in colours (rows, cols, 3), top row first, with what is wrong about it: true surface without a cell red, true
+    glass without one light blue, cells without a surface blue, free space that no beam came near green."""
+    from scipy.spatial import cKDTree
+
+    surfaces, cell = truth.surfaces, grid.resolution_m
+    image = np.full((*grid.occupancy.shape, 3), 190, np.uint8)
+    free = grid.occupancy == 0
+    image[free] = 255
+    image[free & ~_grown(_visible(grid, truth))] = (110, 230, 110)
+    occupied = np.argwhere(grid.occupancy == 100)
+    centres = grid.origin_m + cell * (occupied[:, ::-1] + 0.5)
+    seen = surfaces.seen.any(axis=1)
+    missed = seen & (np.asarray(cKDTree(centres).query(surfaces.points_m)[0]) > 1.5 * cell)
+    at = np.floor((surfaces.points_m - grid.origin_m) / cell).astype(np.int64)
+    missed &= np.all((at >= 0) & (at < np.array(grid.occupancy.shape)[::-1]), axis=1)
+    image[at[missed, 1], at[missed, 0]] = np.where(surfaces.glass[missed, None], (0, 190, 255), (230, 0, 0))
+    ghost = np.asarray(cKDTree(surfaces.points_m).query(centres)[0]) > 1.5 * cell
+    image[occupied[:, 0], occupied[:, 1]] = np.where(ghost[:, None], (0, 0, 255), (0, 0, 0))
+    return np.ascontiguousarray(image[::-1])

@@ -50,7 +50,7 @@ def test_the_true_motion_makes_thinner_planes_fewer_cells_and_less_entropy():
     }
     figures = compare_motions(scans, poses, motions, Config())
     assert list(figures) == ["off", "half", "true"]
-    for key in ("cells", "entropy_nats", "plane_thickness_median_m", "plane_thickness_mean_m"):
+    for key in ("cells", "entropy_bits", "plane_thickness_median_m", "plane_thickness_mean_m"):
         assert figures["true"][key] < figures["half"][key] < figures["off"][key]
     assert figures["true"]["plane_thickness_median_m"] < SIGMA_M
     assert figures["off"]["plane_thickness_median_m"] > 2.0 * SIGMA_M

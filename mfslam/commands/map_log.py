@@ -87,8 +87,9 @@ def map_log(
         solution.covariances, stretches,
     )  # fmt: skip
     interrupted = interrupts.count > 0
-    result.summary = run_summary(log, slam, solution, interrupted, time.process_time() - start_cpu_s)
-    result.summary["deskew"] = sharpness
+    result.summary = {"deskew": sharpness} | run_summary(
+        log, slam, solution, interrupted, time.process_time() - start_cpu_s
+    )
     return Outcome(result, summarise(result), interrupted)
 
 

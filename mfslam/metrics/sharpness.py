@@ -39,7 +39,7 @@ class Sharpness:
     def as_json(self) -> dict[str, Any]:
         return {
             "cells": self.crispness.cells,
-            "entropy_nats": self.crispness.entropy_nats,
+            "entropy_bits": self.crispness.entropy_bits,
             "plane_thickness_median_m": self.thickness_median_m,
             "plane_thickness_mean_m": self.thickness_mean_m,
         }
