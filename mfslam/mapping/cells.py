@@ -71,10 +71,10 @@ def judge_cells(
     """
     met = np.nonzero(counts.hits)
     hits, passes, nears = (c[met].astype(np.int64) for c in (counts.hits, counts.passes, counts.nears))
+    counts.passes |= counts.nears  # whether any beam passed: all that is asked from here on
+    counts.nears = counts.nears[:0].copy()
     free = counts.passes > 0
-    for top in range(0, len(free), _BAND_ROWS):
-        free[top : top + _BAND_ROWS] |= counts.nears[top : top + _BAND_ROWS] > 0
-    counts.passes = counts.nears = counts.passes[:0].copy()
+    counts.passes = counts.nears
     _thin(occupied, counts.hits, _SPREAD_LEFT * sigma_m / config.resolution_m)
     free[met] = passes + nears >= hits  # else the hits are noise, and the cell lies behind its wall
     free &= ~occupied

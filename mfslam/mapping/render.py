@@ -49,29 +49,43 @@ def render_map(
 
 
 def _render_grid(groups: Callable[[], Iterator[ScanGroup]], config: Config) -> OccupancyGrid:
-    surface = Surface()
-    bounds_m = np.array([np.inf, np.inf, -np.inf, -np.inf])
-    for group in groups():
-        surface.add(group.place_for_map(bounds_m))
-    surface.fit()
-    bounds_m += surface.most_moved_m * np.array([-1.0, -1.0, 1.0, 1.0])
-    resolution_m = config.map.resolution_m
+    surface, bounds_m = _fit_surface(groups())
+    resolution_m, sigma_m = config.map.resolution_m, surface.sigma_m
     origin_m, shape = frame_of(bounds_m, resolution_m)
     counts = CellCounts(*(np.zeros(shape, np.uint16) for _ in range(3)))
-    stood = [np.zeros((0, 2), np.int64)]
-    for n, group in enumerate(groups()):
-        beams = group.place_for_map(bounds_m)
-        surface.adjust(n, beams)
-        stood.append(_cells_of(beams.stood_m(), origin_m, resolution_m))
-        _count(beams, surface.facings[n], counts, origin_m, resolution_m)
+    stood = _count_beams(groups(), surface, counts, origin_m, resolution_m)
     occupied = find_occupied(counts, config.map)
     panes = find_panes(surface, groups(), occupied, origin_m, resolution_m)
     glass.draw_lines(panes, 0.6 * PATCH_M, origin_m, resolution_m, occupied)
-    return OccupancyGrid(
-        origin_m,
-        resolution_m,
-        judge_cells(counts, occupied, surface.sigma_m, config.map, np.concatenate(stood)),
-    )
+    del surface  # judging takes all the memory that there is
+    return OccupancyGrid(origin_m, resolution_m, judge_cells(counts, occupied, sigma_m, config.map, stood))
+
+
+def _fit_surface(groups: Iterator[ScanGroup]) -> tuple[Surface, FloatArray]:
+    """The surface that all scans agree on, and bounds (4,) of all that will be drawn: x_min, y_min, x_max, y_max."""
+    surface = Surface()
+    bounds_m = np.array([np.inf, np.inf, -np.inf, -np.inf])
+    for group in groups:
+        surface.add(group.place_for_map(bounds_m))
+    surface.fit()
+    return surface, bounds_m + surface.most_moved_m * np.array([-1.0, -1.0, 1.0, 1.0])
+
+
+def _count_beams(
+    groups: Iterator[ScanGroup],
+    surface: Surface,
+    counts: CellCounts,
+    origin_m: FloatArray,
+    resolution_m: float,
+) -> IntArray:
+    """Add all beams to the counts; row and column (K, 2) of the cells in which the laser stood."""
+    stood = [np.zeros((0, 2), np.int64)]
+    for n, group in enumerate(groups):
+        beams = group.place_for_map(np.zeros(4))
+        surface.adjust(n, beams)
+        stood.append(_cells_of(beams.stood_m(), origin_m, resolution_m))
+        _count(beams, surface.facings[n], counts, origin_m, resolution_m)
+    return np.concatenate(stood)
 
 
 def _cells_of(points_m: FloatArray, origin_m: FloatArray, resolution_m: float) -> IntArray:
