@@ -25,6 +25,7 @@ out.mkdir()
 cells = 900 if "deskew.mode=none" not in sys.argv else 1000
 summary = {{"counts": {{"scans": 3}}, "distances": {{"travelled_m": 2.0, "log_duration_s": 120.0}},
            "crispness": {{"cells": cells, "entropy_nats": 5.0}},
+           "reading_cost_by_quarter": [{{"travelled_m": 50.0, "cpu_s": s}} for s in (0.1, 0.2, 0.3, 0.4)],
            "loops": {{"in_use": 40, "in_use_satisfied": 40, "in_use_satisfied_percent": 100.0,
                      "refused_by_the_last_solve": 2, "taken_out_while_mapping": 1}}}}
 (out / "summary.json").write_text(json.dumps(summary))
@@ -78,6 +79,7 @@ def test_every_log_is_run_and_scored(
     office = runs["office", "deskew on"]
     assert office["cpu_s"] > 0 and office["peak_mb"] > 1
     assert office["real_time_factor"] == pytest.approx(120.0 / office["cpu_s"])
+    assert "| office | 50 | 2.0 | 4.0 | 6.0 | 8.0 |" in page.read_text()
     assert "| yard | deskew on | 900 | -10.0 % | 5.000 |" in page.read_text()
 
 

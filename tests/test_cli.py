@@ -63,6 +63,8 @@ def test_map_leaves_all_files_and_says_where(
     assert summary == json.loads((out / "summary.json").read_text())
     assert summary["counts"]["scans"] == 150 and not summary["interrupted"]
     assert summary["timings_s"]["total"] > 0.0 and summary["real_time_factor"] > 1.0
+    quarters = summary["reading_cost_by_quarter"]
+    assert len(quarters) == 4 and all(q["travelled_m"] > 0.0 and q["cpu_s"] > 0.0 for q in quarters)
     assert len(said.err.splitlines()) < 12, "no flood of lines where there is no terminal"
     assert "\r" not in said.err
 
