@@ -26,6 +26,17 @@ def beam_times_s(laser: Laser) -> FloatArray:
     return laser.offsets_s - reference_offset_s(laser)
 
 
+@lru_cache(maxsize=64)
+def acceleration_lever_s2(laser: Laser) -> float:
+    """Error of a scan's pose per acceleration that its deskewing does not know, s^2: T^2 / 12 of a scan of duration
+    T that refers to its first beam, T^2 / 24 to its middle.
+
+    With the mean twist of the scan a beam at time t is off by a (t^2 - 2 t_mean t) / 2; matching sees the mean of that.
+    """
+    times_s = beam_times_s(laser)
+    return 0.5 * abs(float(np.var(times_s) - np.mean(times_s) ** 2))
+
+
 def deskew(scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: float = 0.0) -> DeskewedScan:
     """Points of ``scan`` in the body frame at its reference instant.
 

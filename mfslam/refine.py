@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from mfslam import icp
-from mfslam.adjustment import Noise, WheelTerms, adjust
+from mfslam.adjustment import Adjusted, AdjustedInformation, Noise, WheelTerms, adjust
 from mfslam.config import Config
 from mfslam.deskew import deskew
 from mfslam.frontend import Keyframe, merged_surface
@@ -38,6 +38,8 @@ class Refinement:
         errors: WheelErrors, range_sigma_m: float,
     ) -> None:  # fmt: skip
         self.config = config
+        self._adjusted: Adjusted | None = None
+        self._range_sigma_m = range_sigma_m
         self.noise = Noise(range_sigma_m, config.icp.sigma_floor_m)
         self.wheels = WheelTerms(steps, errors.as_array(), errors.noise_share, config.odometry)
         told = set(zip(self.wheels.i.tolist(), self.wheels.j.tolist(), strict=True))
@@ -56,9 +58,19 @@ class Refinement:
             clouds, origins_m, world_T_body, [*self._ties, *self._loops], self.wheels, self.noise,
             self._iterations, gate_m,
         )  # fmt: skip
-        self.noise = adjusted.noise
+        self.noise, self._adjusted = adjusted.noise, adjusted
         self._loops, self._gate_share, self._iterations = [], 0.5, max(1, self._iterations // 2)
         return adjusted.world_T_body
+
+    def information(self, motion_variances: FloatArray) -> AdjustedInformation:
+        """What the last round says of its own errors; ``motion_variances`` (K, 3): of poses by the motion within their
+        scans. No range is better than its sensor is said to be: robust weights make what is left of it look smaller.
+        """
+        assert self._adjusted is not None
+        scale = max(1.0, (self._range_sigma_m / self.noise.range_sigma_m) ** 2)
+        return AdjustedInformation(
+            self._adjusted.world_T_body, self._adjusted.solver, scale, motion_variances
+        )
 
 
 def _tie(edge: Edge, told: bool) -> Edge:

@@ -11,8 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mfslam import refine, se2, trajectory
+from mfslam.adjustment import AdjustedInformation
 from mfslam.config import Config
-from mfslam.deskew import deskew, reference_offset_s
+from mfslam.deskew import acceleration_lever_s2, deskew, reference_offset_s
 from mfslam.frontend import Frontend, Keyframe, Step
 from mfslam.graph import PoseGraph, scan_covariances
 from mfslam.kernels import poses
@@ -93,6 +94,7 @@ class Slam:
         self._frontend = Frontend(config)
         self._motion = MotionSources(config, self.findings)
         self._waiting: Scan | None = None
+        self.information: AdjustedInformation | None = None  # of the keyframes as adjusted
 
     @property
     def odometry_jumps(self) -> list[int]:
@@ -261,7 +263,14 @@ class Slam:
                 if len(refinement.wheels):
                     motion.wheel_errors.found(refinement.wheels.mean_errors, refinement.wheels.share)
                 edges = self.graph.place(world_T_keyframe, motion.revised(edges))
+        self.information = refinement.information(self._motion_variances(motions))
         return edges
+
+    def _motion_variances(self, motions: FloatArray) -> FloatArray:
+        """(K, 3) what may be wrong of a keyframe's pose since its scan was not sensed at once."""
+        index = [k.scan_index for k in self.keyframes]
+        levers_s2 = np.array([acceleration_lever_s2(self.scans[n].laser) for n in index])
+        return np.square(levers_s2[:, None] * motions[index, 3:])
 
     def _scan_poses(self, world_T_keyframe: FloatArray) -> FloatArray:
         local = np.array([step.local_T_body for step in self.steps])
@@ -302,7 +311,9 @@ class Slam:
             twists=np.ascontiguousarray(motions[:, :3]),
             keyframes=keyframes,
             edges=edges,
-            covariances=scan_covariances(world_T_body, keyframes, edges),
+            covariances=scan_covariances(
+                world_T_body, keyframes, edges, self.information.marginals() if self.information else None
+            ),
         )
 
     def _to_stamps(

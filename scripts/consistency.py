@@ -28,6 +28,7 @@ from scipy.special import chdtri
 
 from drivers.simulator import laser_model, load_world
 from mfslam import se2
+from mfslam.adjustment import AdjustedInformation
 from mfslam.deskew import reference_offset_s
 from mfslam.graph import GraphInformation
 from mfslam.metrics import ate
@@ -137,11 +138,13 @@ def of_edges(edges: list[Edge], truth: FloatArray) -> Errors:
 
 
 def of_trajectory(
-    estimate: FloatArray, truth: FloatArray, edges: list[Edge], most: int = 150
+    estimate: FloatArray,
+    truth: FloatArray,
+    information: GraphInformation | AdjustedInformation,
+    most: int = 150,
 ) -> dict[str, Errors]:
     """Errors of the motion between keyframes 1, 5, 20 and 100 m of driving apart, under the joint marginals, and
     of the keyframes themselves relative to the first."""
-    information = GraphInformation(estimate, edges)
     count = len(estimate)
     travel = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(estimate[:, :2], axis=0).T))])
     off = se2.log(se2.between(se2.between(estimate[:1], estimate), se2.between(truth[:1], truth)))
@@ -185,7 +188,8 @@ def run_case(case: Case, settings: Iterable[str] = ()) -> Run:
         "loop": of_edges([e for e in kept if e.kind == "loop"], truth),
         "scan": of_edges([e for e in final if e.kind == "scan"], truth),
     }
-    out |= of_trajectory(solution.world_T_body[solution.keyframes], truth, final)
+    estimate = solution.world_T_body[solution.keyframes]
+    out |= of_trajectory(estimate, truth, slam.information or GraphInformation(estimate, final))
     absolute = ate(simulation.truth_world_T_body, solution.world_T_body)
     return Run(out, absolute.translation_m.rmse, absolute.rotation_deg.rmse)
 

@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
 import pytest
 
 from mfslam.types import MfslamError
@@ -103,12 +102,3 @@ def test_a_folder_without_logs_is_named(benchmark: ModuleType, tmp_path: Path) -
         benchmark.find_logs(tmp_path / "none", [])
     with pytest.raises(MfslamError, match="no log here"):
         benchmark.find_logs(tmp_path, [])
-
-
-def test_the_relations_own_noise_is_what_the_stated_covariances_leave(benchmark: ModuleType) -> None:
-    missing_sigma = importlib.import_module("benchmarking.uncertainty").missing_sigma
-    rng = np.random.default_rng(1)
-    variances = rng.uniform(1e-6, 1e-4, 4000)
-    errors = rng.normal(0.0, np.sqrt(variances + 0.02**2))
-    assert missing_sigma(errors, variances) == pytest.approx(0.02, rel=0.05)
-    assert missing_sigma(errors, variances + 1.0) == pytest.approx(0.0, abs=1e-6)

@@ -107,6 +107,16 @@ class Solver:
         self._parts = list(parts)
         self._precondition = precondition
 
+    def coarse(self) -> tuple[Any, Any]:
+        """How stretches carry the unknowns (3 U, 3 C), and their information (3 C, 3 C): sparse."""
+        carry_back = self._carry.T.tocsr()
+        return self._carry, sum(carry_back @ part.tocsr() @ self._carry for part in self._parts).tocsr()
+
+    def within_stretches(self) -> FloatArray:
+        """(C, 3 STRETCH, 3 STRETCH) information of the unknowns of each stretch, all others being held."""
+        count = -(-self._parts[0].shape[0] // (3 * STRETCH))
+        return np.asarray(sum(_within_stretches(part, count) for part in self._parts))
+
     def _times(self, x: FloatArray) -> FloatArray:
         return np.asarray(sum(part @ x for part in self._parts))
 

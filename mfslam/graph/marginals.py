@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mfslam import se2
-from mfslam.kernels import selected_inverse
+from mfslam.sparse_inverse import inverse_diagonal
 from mfslam.trajectory import spread_covariances
 from mfslam.types import Edge, FloatArray, IntArray
 
@@ -43,28 +43,12 @@ class GraphInformation:
     def marginals(self) -> FloatArray:
         """(K, 3, 3) covariance of every pose relative to the first one, in the tangent at the pose."""
         out = np.zeros((self.count, 3, 3))
-        free = self.count - 1
-        if free < 1:
+        if self.count < 2:
             return out
         binary = (self.i != self.j) & (self.i > 0) & (self.j > 0)
-        i, j, ij = self.i[binary] - 1, self.j[binary] - 1, self.ij[binary]
-        place = _elimination_order(i, j, free)
-        low, high = np.minimum(place[i], place[j]), np.maximum(place[i], place[j])
-        # blocks below the diagonal, (high, low): that of row j and column i is the transpose of ij
-        blocks = np.where((place[j] > place[i])[:, None, None], np.swapaxes(ij, 1, 2), ij)
-        pairs, which = np.unique(high * free + low, return_inverse=True)
-        first, rows = selected_inverse.factor_pattern(
-            np.searchsorted(pairs // free, np.arange(free + 1)), pairs % free
+        out[1:] = inverse_diagonal(
+            self.diagonal()[1:], self.i[binary] - 1, self.j[binary] - 1, self.ij[binary]
         )
-        entries = np.repeat(np.arange(free), np.diff(first)) + rows * free  # one key per entry of the factor
-        order = np.argsort(entries)
-        below = np.zeros((len(rows), 3, 3))
-        np.add.at(below, order[np.searchsorted(entries[order], pairs)][which], blocks)
-        diagonal = np.empty((free, 3, 3))
-        diagonal[place] = self.diagonal()[1:]
-        selected_inverse.factorise(first, rows, diagonal, below)
-        selected_inverse.invert_selected(first, rows, diagonal, below)
-        out[1:] = diagonal[place]
         return out
 
     def relative_covariances(self, i: IntArray, j: IntArray) -> FloatArray:
@@ -98,28 +82,19 @@ class GraphInformation:
         return coo_array((blocks.ravel(), (at_row.ravel(), at_column.ravel())), shape=shape).tocsc()[3:, 3:]
 
 
-def scan_covariances(world_T_body: FloatArray, keyframes: IntArray, edges: list[Edge]) -> FloatArray:
+def scan_covariances(
+    world_T_body: FloatArray, keyframes: IntArray, edges: list[Edge], marginals: FloatArray | None = None
+) -> FloatArray:
     """(S, 3, 3) covariance of every scan's x, y and yaw, in the world's axes and relative to the first keyframe.
 
-    ``world_T_body`` (S, 3), ``keyframes`` (K,): their scans, which the edges number.
+    ``world_T_body`` (S, 3), ``keyframes`` (K,): their scans, which the edges number; ``marginals`` (K, 3, 3) of the
+    keyframes, where the edges are not what placed them.
     """
-    marginals = GraphInformation(world_T_body[keyframes], edges).marginals()
+    if marginals is None:
+        marginals = GraphInformation(world_T_body[keyframes], edges).marginals()
     steps = np.tile(FLOOR * np.eye(3), (max(0, len(keyframes) - 1), 1, 1))
     for edge in edges:
         if edge.j == edge.i + 1:
             steps[edge.i] += edge.weight * edge.information
     inverse: FloatArray = np.asarray(np.linalg.inv(steps), dtype=np.float64)
     return spread_covariances(marginals, inverse, world_T_body, keyframes)
-
-
-def _elimination_order(i: IntArray, j: IntArray, count: int) -> IntArray:
-    """Place (count,) of every pose in an order that fills the factor little: minimum degree, which scipy's
-    SuperLU finds on the way when it factorises anything of that pattern."""
-    from scipy.sparse import coo_array, eye_array
-    from scipy.sparse.linalg import splu
-
-    links = coo_array((np.full(len(i), -1.0), (i, j)), shape=(count, count))
-    degree = np.bincount(i, minlength=count) + np.bincount(j, minlength=count)
-    pattern = (links + links.T + eye_array(count) * (1.0 + float(degree.max()))).tocsc()
-    factor = splu(pattern, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    return np.asarray(factor.perm_c, dtype=np.int64)

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarking.uncertainty import against_relations
 from mfslam.metrics import read_relations, relations_error
 from mfslam.output import read_tum
 from mfslam.types import MfslamError
@@ -39,7 +38,6 @@ class Outcome:
     log_s: float = 0.0
     summary: dict[str, Any] = field(default_factory=dict)
     relations: dict[str, Any] | None = None
-    uncertainty: dict[str, float] | None = None
 
     @property
     def real_time_factor(self) -> float:
@@ -93,7 +91,6 @@ def run_map(path: Path, variant: str, settings: list[str], out: Path) -> Outcome
         stamps_ns, poses = read_tum(out / "trajectory.tum")
         relations = read_relations(relations_beside(path))
         outcome.relations = relations_error(stamps_ns, poses, relations).as_json()
-        outcome.uncertainty = against_relations(out, relations)
     return outcome
 
 

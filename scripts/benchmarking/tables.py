@@ -23,20 +23,6 @@ def accuracy_table(outcomes: list[Outcome]) -> Table:
     return [head, *rows]
 
 
-def uncertainty_table(outcomes: list[Outcome]) -> Table:
-    head = [
-        *("log", "stated m", "error m", "relations' own noise m"),
-        *("stated deg", "error deg", "relations' own noise deg"),
-    ]
-    rows = []
-    for o in outcomes:
-        if o.uncertainty is not None:
-            shift = [f"{o.uncertainty[key]:.4f}" for key in ("stated_m", "error_m", "relation_sigma_m")]
-            turn = [f"{o.uncertainty[key]:.3f}" for key in ("stated_deg", "error_deg", "relation_sigma_deg")]
-            rows.append([o.log, *shift, *turn])
-    return [head, *rows]
-
-
 def cost_table(outcomes: list[Outcome]) -> Table:
     head = ["log", "scans", "travelled m", "log s", "CPU s", "times real time", "peak MB"]
     rows = []
@@ -108,10 +94,6 @@ def failures_table(outcomes: list[Outcome]) -> Table:
 def tables(outcomes: list[Outcome]) -> list[tuple[str, Table]]:
     all_tables = [
         ("Relations error (Kuemmerle et al. 2009)", accuracy_table(outcomes)),
-        (
-            "Uncertainty: RMS along one axis, stated and against the relations; their own noise if what is stated is true",
-            uncertainty_table(outcomes),
-        ),
         ("Cost of the whole command, kernels compiled", cost_table(outcomes)),
         ("CPU time of reading per metre of the way, by its quarters", growth_table(outcomes)),
         (
