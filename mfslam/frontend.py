@@ -118,7 +118,9 @@ class Frontend:
         surprise = self._surprise(predicted, step, motion)
         searched = False
         if match.inlier_ratio < config.frontend.min_inlier_ratio or surprise > SURPRISE_GATE:
-            better = self._search(scan, cloud, guess, match, None if likely else coasted, blind_s)
+            hopeless = match.inlier_ratio < LOST_SHARE * config.frontend.min_inlier_ratio
+            beyond = coasted if hopeless or not likely else None
+            better = self._search(scan, cloud, guess, match, beyond, blind_s)
             if better is not None:
                 better_step = poses.between(self.local_T_body, better.ref_T_src)
                 surprise_there = self._surprise(predicted, better_step, motion)
