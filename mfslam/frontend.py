@@ -100,7 +100,7 @@ class Frontend:
             self._add_keyframe(index, cloud)
             return Step(self.local_T_body, None, True)
         blind_s = self.blind_s + motion.dt_s + motion.pause_s
-        coasted = recovery.coasted(self.last_step, self.last_dt_s, blind_s)
+        coasted = recovery.coasted(self.last_step, self.last_dt_s, motion.dt_s + motion.pause_s)
         self.last_dt_s = motion.dt_s
         predicted = coasted if motion.step is None else motion.step
         if motion.turn_rad is not None:
@@ -126,7 +126,7 @@ class Frontend:
                 surprise_there = self._surprise(predicted, better_step, motion)
                 # wheels hardly ever jump: it takes more than a few points to say so
                 more = (better.inlier_ratio - match.inlier_ratio) * len(cloud.points_m)
-                if surprise_there <= SURPRISE_GATE or more >= JUMP_POINTS:
+                if motion.step is None or surprise_there <= SURPRISE_GATE or more >= JUMP_POINTS:
                     match, step, surprise, searched = better, better_step, surprise_there, True
         twist = motion.twist
         jump = motion.step is not None and surprise > SURPRISE_GATE
