@@ -100,6 +100,8 @@ def build_parser() -> argparse.ArgumentParser:
     command.add_argument("--json", metavar="FILE", type=Path, help="write it as JSON too")
     command.set_defaults(run=_run_info)
 
+    _add_evaluate(commands)
+    _add_compare(commands)
     _add_optimize(commands)
 
     command = commands.add_parser("config", help="print every setting with its unit and meaning, as YAML")
@@ -176,6 +178,65 @@ def _add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser])
     )
     command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")
     command.set_defaults(run=_run_simulate)
+
+
+def _add_evaluate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    command = commands.add_parser(
+        "evaluate",
+        help="say how good trajectories and graphs of any program are",
+        description="Hold results against a truth; several results side by side, with a test of their differences.",
+    )
+    command.add_argument(
+        "results",
+        metavar="RESULT",
+        nargs="+",
+        type=Path,
+        help="folder of `mfslam map`, TUM trajectory, corrected CARMEN log (.clf, .log), or graph (.g2o)",
+    )
+    truth = command.add_mutually_exclusive_group(required=True)
+    truth.add_argument("--relations", metavar="FILE", type=Path, help="true motions between pairs of stamps")
+    truth.add_argument(
+        "--truth", metavar="FILE", type=Path, help="true trajectory: TUM, CARMEN or run folder"
+    )
+    truth.add_argument(
+        "--graph-truth",
+        metavar="FILE",
+        type=Path,
+        help="true poses of vertices, or true edges: g2o or a table",
+    )
+    command.add_argument("-o", "--output", metavar="PAGE.html", type=Path, help="write a page of plots")
+    command.add_argument("--json", metavar="FILE", type=Path, help="write all figures as JSON")
+    command.add_argument("--list", metavar="FILE.csv", type=Path, help="write every single error")
+    command.add_argument(
+        "--tolerance",
+        metavar="S",
+        type=float,
+        default=1e-5,
+        help="between stamps of relations and poses (1e-5)",
+    )
+    command.add_argument(
+        "--max-difference",
+        metavar="S",
+        type=float,
+        default=0.01,
+        help="between stamps of truth and poses (0.01)",
+    )
+    command.add_argument(
+        "--rpe-step", metavar="N", type=int, default=1, help="poses between those of RPE (1)"
+    )
+    command.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
+    command.set_defaults(run=_run_evaluate)
+
+
+def _add_compare(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    command = commands.add_parser("compare", help="say what changed between two runs")
+    command.add_argument("a", metavar="RUN_A", type=Path, help="folder of `mfslam map`")
+    command.add_argument("b", metavar="RUN_B", type=Path, help="another one, of the same log")
+    command.add_argument("-o", "--output", metavar="PAGE.html", type=Path, help="write a page")
+    command.add_argument("--picture", metavar="FILE.png", type=Path, help="write the difference of the maps")
+    command.add_argument("--json", metavar="FILE", type=Path, help="write all figures as JSON")
+    command.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
+    command.set_defaults(run=_run_compare)
 
 
 def _add_optimize(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -282,6 +343,18 @@ def _run_record(args: argparse.Namespace) -> int:
 
 def _run_info(args: argparse.Namespace) -> int:
     from mfslam.commands.info import run
+
+    return run(args)
+
+
+def _run_evaluate(args: argparse.Namespace) -> int:
+    from mfslam.commands.evaluate import run
+
+    return run(args)
+
+
+def _run_compare(args: argparse.Namespace) -> int:
+    from mfslam.commands.compare import run
 
     return run(args)
 

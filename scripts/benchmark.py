@@ -8,6 +8,7 @@ deskew on, off and in the reversed beam order.
     scripts/benchmark.py                             # a table on the terminal
     scripts/benchmark.py --markdown docs/benchmarks.md --json benchmark.json
     scripts/benchmark.py --only office --set deskew.mode=none
+    scripts/benchmark.py --check                     # fails when accuracy fell by more than 10 %
 """
 
 from __future__ import annotations
@@ -17,14 +18,16 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
+from benchmarking.check import complaints, stored_figures
 from benchmarking.page import as_text, machine, write_markdown
-from benchmarking.runs import find_logs, run_all
+from benchmarking.runs import find_logs, relations_beside, run_all
 from benchmarking.tables import tables
 
 from mfslam.output import json_text, write_atomically
 from mfslam.types import MfslamError
 
 ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "benchmarks.md"
 
 
 def main() -> int:
@@ -40,9 +43,18 @@ def main() -> int:
     )
     parser.add_argument("--json", type=Path, help="write all figures here")
     parser.add_argument("--markdown", type=Path, help="write the tables into this page, between its markers")
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="map only logs with relations; fail when accuracy is more than 10 % worse than docs/benchmarks.md",
+    )
     options = parser.parse_args()
     try:
-        outcomes = run_all(find_logs(options.data, options.only), options.set)
+        logs = find_logs(options.data, options.only)
+        if options.check:
+            logs = [path for path in logs if relations_beside(path).is_file()]
+            stored_figures(PAGE)  # before the work
+        outcomes = run_all(logs, options.set)
         for title, table in tables(outcomes):
             print(f"\n{title}\n\n{as_text(table)}")
         if options.json:
@@ -54,6 +66,12 @@ def main() -> int:
     except MfslamError as error:
         print(f"benchmark: {error}", file=sys.stderr)
         return 1
+    if options.check:
+        worse = complaints(outcomes, PAGE)
+        for line in worse:
+            print(f"benchmark: {line}", file=sys.stderr)
+        print("accuracy: " + ("worse than stored" if worse else "as stored, or better"))
+        return 1 if worse else 0
     return 1 if any(o.failure and o.scored for o in outcomes) else 0
 
 

@@ -102,3 +102,28 @@ def test_a_folder_without_logs_is_named(benchmark: ModuleType, tmp_path: Path) -
         benchmark.find_logs(tmp_path / "none", [])
     with pytest.raises(MfslamError, match="no log here"):
         benchmark.find_logs(tmp_path, [])
+
+
+def test_check_fails_when_accuracy_fell_by_more_than_a_tenth(
+    benchmark: ModuleType,
+    data: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    page = tmp_path / "b.md"
+    monkeypatch.setattr(benchmark, "PAGE", page)
+    monkeypatch.setattr(
+        sys, "argv", ["benchmark.py", "--data", str(data), "--only", "office", "--markdown", str(page)]
+    )
+    assert benchmark.main() == 0
+    check = ["benchmark.py", "--data", str(data), "--check"]
+    monkeypatch.setattr(sys, "argv", check)
+    assert benchmark.main() == 0
+    assert "accuracy: as stored" in capsys.readouterr().out
+    page.write_text(page.read_text().replace("| 0.2500 |", "| 0.2200 |", 1))
+    assert benchmark.main() == 1
+    assert "office: mean m is 0.2500, stored 0.2200" in capsys.readouterr().err
+    page.write_text("no table")
+    assert benchmark.main() == 1
+    assert "holds no table of log, relations" in capsys.readouterr().err

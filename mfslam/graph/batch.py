@@ -13,7 +13,7 @@ from mfslam.pose_graphs.data import Problem
 from mfslam.types import FloatArray, MfslamError
 
 HELD_SIGMAS = np.full(3, 1e-4)  # of a pose that only says where the graph is: it costs nothing to hold it
-_SAME = 1e-8  # relative decrease of chi2 at which a solve has arrived
+_SAME = 1e-5  # relative decrease of chi2 at which a solve has arrived, as in gtsam
 _NOTHING = 1e-10  # chi2 that is zero but for rounding
 MAX_ITERATIONS = 200
 
@@ -115,7 +115,7 @@ def solve(
     kernel: tuple[str, float] | None = None,
     max_iterations: int = MAX_ITERATIONS,
 ) -> Solution:
-    """Levenberg-Marquardt from poses (N, 3) until chi2 no longer falls by more than 1e-8 of itself.
+    """Levenberg-Marquardt from poses (N, 3) until chi2 no longer falls by more than 1e-5 of itself.
 
     Raises MfslamError when the edges leave a pose open.
     """

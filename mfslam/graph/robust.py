@@ -27,6 +27,8 @@ from mfslam.types import FloatArray
 LIMIT = float(chi2_distribution.ppf(0.99, 3))  # chi2 of a true loop
 _MEDIAN = float(chi2_distribution.median(3))
 _HEATS = (10.0, 100.0)  # times LIMIT
+_KERNEL = ("geman-mcclure", 2.3849)
+_KERNEL_STEPS = 20
 _ROUNDS = 3
 _PACE = 2.0
 _SPARE = 10.0  # noise of real loops has wider tails than its median tells
@@ -45,6 +47,9 @@ def solve_robust(problem: Problem, start: FloatArray) -> Solution:
     reckoned = dead_reckoning(problem)
     begin = start if reckoned is None else reckoned
     tried = [_heated(problem, begin, heat) for heat in _HEATS]
+    # where dead reckoning is far off, a redescending kernel may come nearer first
+    kernel = solve(problem, begin, kernel=_KERNEL, max_iterations=_KERNEL_STEPS).world_T_pose
+    tried.append(_heated(problem, kernel, _HEATS[0]))
     limit = min(_limit(problem, poses) for poses, _ in tried)
     poses, weights = min(tried, key=lambda pair: truncated_cost(problem, pair[0], limit))
     final = solve(problem, poses, weights)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -33,6 +33,9 @@ class PoseError:
     translation_m: ErrorStats
     rotation_deg: ErrorStats
 
+    def as_json(self) -> dict[str, Any]:
+        return {"translation_m": self.translation_m.as_json(), "rotation_deg": self.rotation_deg.as_json()}
+
     @classmethod
     def of(cls, errors: FloatArray) -> PoseError:
         return cls(
@@ -41,8 +44,8 @@ class PoseError:
         )
 
 
-def ate(truth: FloatArray, estimate: FloatArray, alignment: Alignment = "best") -> PoseError:
-    """Absolute trajectory error of matched poses (N, 3).
+def absolute_errors(truth: FloatArray, estimate: FloatArray, alignment: Alignment = "best") -> FloatArray:
+    """(N, 3): inverse(truth) * estimate of matched poses (N, 3).
 
     ``alignment``: none, the first pose on the first (origin), or the best rigid fit of the positions.
     """
@@ -52,7 +55,12 @@ def ate(truth: FloatArray, estimate: FloatArray, alignment: Alignment = "best") 
         truth_T_estimate = align(truth, estimate)
     else:
         truth_T_estimate = np.zeros(3)
-    return PoseError.of(se2.between(truth, se2.compose(truth_T_estimate, estimate)))
+    return se2.between(truth, se2.compose(truth_T_estimate, estimate))
+
+
+def ate(truth: FloatArray, estimate: FloatArray, alignment: Alignment = "best") -> PoseError:
+    """Absolute trajectory error: statistics of `absolute_errors`."""
+    return PoseError.of(absolute_errors(truth, estimate, alignment))
 
 
 def rpe(truth: FloatArray, estimate: FloatArray, step: int = 1) -> PoseError:

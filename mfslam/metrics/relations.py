@@ -12,7 +12,7 @@ import numpy as np
 from mfslam import se2
 from mfslam.metrics.matching import nearest, range_text
 from mfslam.metrics.statistics import ErrorStats
-from mfslam.types import FloatArray, IntArray, MfslamError
+from mfslam.types import BoolArray, FloatArray, IntArray, MfslamError
 
 _NS = 1_000_000_000
 
@@ -79,13 +79,13 @@ def read_relations(path: Path) -> Relations:
     return Relations(pairs[:, 0], pairs[:, 1], np.array(poses, dtype=np.float64))
 
 
-def relations_error(
+def relation_errors(
     stamps_ns: IntArray, world_T_body: FloatArray, relations: Relations, tolerance_s: float = 1e-5
-) -> RelationsError:
-    """Error of a trajectory, poses (N, 3) at stamps (N,) in any order, against ground-truth relations.
+) -> tuple[FloatArray, BoolArray]:
+    """(M, 3) inverse(relation) * estimate of the matched relations, and which (R,) of all are matched.
 
-    A relation counts when both of its stamps are within ``tolerance_s`` of a pose's. Raises MfslamError,
-    telling both time ranges, when none does.
+    Poses (N, 3) at stamps (N,) in any order; a relation counts when both of its stamps are within
+    ``tolerance_s`` of a pose's. Raises MfslamError, telling both time ranges, when none does.
     """
     a, a_found = nearest(stamps_ns, relations.a_ns, tolerance_s)
     b, b_found = nearest(stamps_ns, relations.b_ns, tolerance_s)
@@ -96,10 +96,17 @@ def relations_error(
             f"{range_text(np.concatenate([relations.a_ns, relations.b_ns]))}, poses from {range_text(stamps_ns)}"
         )
     estimate = se2.between(world_T_body[a[both]], world_T_body[b[both]])
-    error = se2.between(relations.a_T_b[both], estimate)
+    return se2.between(relations.a_T_b[both], estimate), both
+
+
+def relations_error(
+    stamps_ns: IntArray, world_T_body: FloatArray, relations: Relations, tolerance_s: float = 1e-5
+) -> RelationsError:
+    """Statistics of `relation_errors`."""
+    error, matched = relation_errors(stamps_ns, world_T_body, relations, tolerance_s)
     return RelationsError(
         ErrorStats.of(np.hypot(error[:, 0], error[:, 1])),
         ErrorStats.of(np.degrees(np.abs(error[:, 2]))),
-        int(both.sum()),
-        int((~both).sum()),
+        int(matched.sum()),
+        int((~matched).sum()),
     )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from html import escape
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
 from mfslam.observability import OPEN_SIGMA_M
 from mfslam.output.overlay import map_layers
+from mfslam.output.page import html_page
 from mfslam.output.plots import plot_cards
 from mfslam.output.tables import caption, section_tables, value_text
 from mfslam.types import IntArray, RunResult
@@ -17,9 +17,6 @@ from mfslam.types import IntArray, RunResult
 
 def report_html(result: RunResult, summary: dict[str, Any], config_yaml: str) -> str:
     """The whole page. ``summary`` is what `mfslam.output.summarise` made of ``result``."""
-    style, script = (
-        files("mfslam.output").joinpath(f"report.{kind}").read_text("utf-8") for kind in ("css", "js")
-    )
     title = _title(summary)
     body = [
         f"<header><h1>{escape(title)}</h1><p>{escape(_subtitle(summary))}</p></header>",
@@ -30,14 +27,7 @@ def report_html(result: RunResult, summary: dict[str, Any], config_yaml: str) ->
         f'<h2>In numbers</h2><div class="grid3">{section_tables(summary)}</div>',
         f'<details class="card"><summary>Effective configuration</summary><pre>{escape(config_yaml)}</pre></details>',
     ]
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{escape(title)} - mfslam</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n"
-        + "\n".join(body)
-        + f"\n</main>\n<script>\n{script}</script>\n</body>\n</html>\n"
-    )
+    return html_page(title, body, script=True)
 
 
 def _title(summary: dict[str, Any]) -> str:

@@ -150,6 +150,6 @@ def _bound(form: QuadraticForm, x: ComplexArray, chi2: float) -> tuple[float, bo
     small = 1e-6 * max(chi2, _NOTHING) / z
     for epsilon in small * 10.0 ** np.arange(8):
         factors = factorise(add_diagonal(s, epsilon * ones))
-        if factors is not None and (factors.U.diagonal().real > 0).all():
+        if factors is not None and (factors.U.diagonal() > 0).all():
             return total - epsilon * z, bool(epsilon <= 1e2 * small)
     return -np.inf, False

@@ -132,19 +132,34 @@ def _solve(matrix: csc_array, right: ComplexArray) -> ComplexArray | None:
     factors = factorise(matrix)
     if factors is None:
         return None
-    out: ComplexArray = factors.solve(right.astype(factors.U.dtype))
-    return out if np.isfinite(out).all() else None
+    out = factors.solve(np.column_stack([right.real, right.imag]).ravel())
+    return out[::2] + 1j * out[1::2] if np.isfinite(out).all() else None
 
 
 def factorise(matrix: csc_array) -> Any | None:
-    """L D L^H of a Hermitian matrix without pivoting (SuperLU in symmetric mode), or None if there is none."""
+    """L D L^T of a real symmetric matrix without pivoting (SuperLU in symmetric mode), or None if there is none.
+
+    A Hermitian matrix becomes a real one of twice the size, real and imaginary part in turn: complex
+    factorisations are a hundred times as slow there.
+    """
+    real = _as_real(matrix) if np.iscomplexobj(matrix.data) else matrix
     try:
-        factors = splu(
-            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
+        factors = splu(real, permc_spec="COLAMD", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     except RuntimeError:  # exactly singular
         return None
     return factors if np.array_equal(factors.perm_r, factors.perm_c) else None
+
+
+def _as_real(matrix: csc_array) -> csc_array:
+    entries = matrix.tocoo()
+    row, column = 2 * entries.coords[0], 2 * entries.coords[1]
+    re, im = entries.data.real, entries.data.imag
+    rows = np.concatenate([row, row, row + 1, row + 1])
+    columns = np.concatenate([column, column + 1, column, column + 1])
+    size = 2 * matrix.shape[0]
+    out = csc_array(coo_array((np.concatenate([re, -im, im, re]), (rows, columns)), shape=(size, size)))
+    out.eliminate_zeros()
+    return out
 
 
 def add_diagonal(matrix: csc_array, diagonal: FloatArray) -> csc_array:
