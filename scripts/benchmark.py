@@ -9,18 +9,22 @@ deskew on, off and in the reversed beam order.
     scripts/benchmark.py --markdown docs/benchmarks.md --json benchmark.json
     scripts/benchmark.py --only office --set deskew.mode=none
     scripts/benchmark.py --check                     # fails when accuracy fell by more than 10 %
+    scripts/benchmark.py --simulated                 # long simulated offices with exact truth instead
+    scripts/benchmark.py --ablation                  # what each part of the method is worth instead
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
 from benchmarking.check import complaints, stored_figures
 from benchmarking.page import as_text, machine, write_markdown
 from benchmarking.runs import find_logs, relations_beside, run_all
+from benchmarking.simulated import ablation_table, simulated_table
 from benchmarking.tables import tables
 
 from mfslam.output import json_text, write_atomically
@@ -48,8 +52,14 @@ def main() -> int:
         action="store_true",
         help="map only logs with relations; fail when accuracy is more than 10 % worse than docs/benchmarks.md",
     )
+    parser.add_argument("--simulated", action="store_true", help="long simulated offices, by laser")
+    parser.add_argument("--ablation", action="store_true", help="one part of the method left out at a time")
     options = parser.parse_args()
+    command = " ".join(["scripts/benchmark.py", *sys.argv[1:]])
     try:
+        if options.simulated or options.ablation:
+            instead(options, command)
+            return 0
         logs = find_logs(options.data, options.only)
         if options.check:
             logs = [path for path in logs if relations_beside(path).is_file()]
@@ -61,7 +71,6 @@ def main() -> int:
             runs = [asdict(o) | {"real_time_factor": o.real_time_factor} for o in outcomes]
             write_atomically(options.json, json_text({"machine": machine(), "runs": runs}).encode())
         if options.markdown:
-            command = " ".join(["scripts/benchmark.py", *sys.argv[1:]])
             write_markdown(options.markdown, tables(outcomes), command)
     except MfslamError as error:
         print(f"benchmark: {error}", file=sys.stderr)
@@ -73,6 +82,23 @@ def main() -> int:
         print("accuracy: " + ("worse than stored" if worse else "as stored, or better"))
         return 1 if worse else 0
     return 1 if any(o.failure and o.scored for o in outcomes) else 0
+
+
+def instead(options: argparse.Namespace, command: str) -> None:
+    """The tables that are asked for by name, each with markers of its own."""
+    made = {}
+    if options.simulated:
+        made["simulated"] = ("Simulated offices with exact truth", simulated_table())
+    if options.ablation:
+        logs = find_logs(options.data, options.only)
+        with tempfile.TemporaryDirectory(prefix="mfslam-ablation-") as scratch:
+            made["ablation"] = (
+                "Without one part of the method", ablation_table(logs, options.set, Path(scratch))
+            )  # fmt: skip
+    for marker, (title, table) in made.items():
+        print(f"\n{title}\n\n{as_text(table)}")
+        if options.markdown:
+            write_markdown(options.markdown, [(title, table)], command, marker)
 
 
 if __name__ == "__main__":
