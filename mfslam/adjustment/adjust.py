@@ -21,7 +21,7 @@ from mfslam.types import DeskewedScan, Edge, FloatArray, IntArray
 
 SETTLED_M, STALLED = 0.0015, 0.95  # change over SPAN keyframes (RMS), and against that before
 SPAN = 50
-PATCH_M = 0.25  # length of a patch
+PATCH_M, PATCH_KERNELS = 0.25, 3.0  # length of a patch, and at least so many scales of the kernel
 FACING_COS = 0.7  # a point faces as its patch does, within 45 deg
 MIN_SCANS = 5  # that saw a patch, for it to tell of their noise
 KERNEL_SIGMAS, NARROWING = 3.0, 0.5  # of the Geman-McClure kernel on points; its scale from turn to turn
@@ -90,7 +90,7 @@ def adjust(
     for iteration in range(iterations):
         # wide at first, so that walls that are far from each other still pull
         kernel_m = max(least_kernel_m, gate_m * NARROWING**iteration)
-        lines, patch = _patches(points, poses, kernel_m, gate_m, noise)
+        lines, patch = _patches(points, poses, kernel_m, noise)
         groups = _groups(points, poses, lines, patch, kernel_m, noise)
         equations = Equations(unknowns)
         first, columns, blocks, rhs = wall_patches.pose_equations(count, len(lines), *groups)
@@ -120,23 +120,27 @@ def _change_m(before: FloatArray, after: FloatArray) -> float:
 
 
 def _patches(
-    points: _Points, poses: FloatArray, kernel_m: float, gate_m: float, noise: Noise
+    points: _Points, poses: FloatArray, kernel_m: float, noise: Noise
 ) -> tuple[FloatArray, IntArray]:
     """Lines (S, 5) of the patches as the scans stand, and the patch (P,) of every point."""
     oriented = np.empty((len(points.points_m), 4))
     pose_of = np.repeat(poses, np.diff(points.first), axis=0)
     oriented[:, :2] = se2.transform(pose_of, points.points_m[:, None])[:, 0]
     oriented[:, 2:] = se2.transform(pose_of * [0.0, 0.0, 1.0], points.normals[:, None])[:, 0]
-    table = icp.reference_table(wall_patches.seed_patches(icp.reference_table(oriented), icp.CELL_M, PATCH_M))
+    # long at first: two passes by one wall have patches of their own where they stand half a patch apart
+    length_m = max(PATCH_M, PATCH_KERNELS * kernel_m)
+    table = icp.reference_table(
+        wall_patches.seed_patches(icp.reference_table(oriented), icp.CELL_M, length_m)
+    )
     count = len(table[1])
     patch, seen = partners.nothing_known(len(oriented))
-    partners.find_partners(*table, icp.CELL_M, oriented, PATCH_M, FACING_COS, patch, seen)
+    partners.find_partners(*table, icp.CELL_M, oriented, length_m, FACING_COS, patch, seen)
     patch[~points.normals.any(axis=1)] = -1
     lines = np.empty((0, 5))
     for _ in range(3):
         lines = wall_patches.fit_patches(count, points.points_m, points.first, poses, patch, lines, kernel_m)
     # what is no line, such as a corner or a crowd, says nothing
-    straight = (lines[:, 4] >= 0.0) & (lines[:, 4] < (3.0 * noise.range_sigma_m) ** 2 + (0.25 * gate_m) ** 2)
+    straight = (lines[:, 4] >= 0.0) & (lines[:, 4] < (3.0 * noise.range_sigma_m) ** 2 + (0.5 * kernel_m) ** 2)
     on = np.flatnonzero(patch >= 0)
     patch[on[~straight[patch[on]]]] = -1
     return lines, patch

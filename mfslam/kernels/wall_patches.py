@@ -109,10 +109,16 @@ def group_sums(
     sum k r, sum k r^2, sum k slant^2, slant being the part of the range across the wall.
     Returns scan and patch (M,) of each group, in order of scans, and the sums (M, SUMS).
     """
-    total = points.shape[0]
+    group = np.full(lines.shape[0], -1, np.int64)
+    total = 0
+    for k in range(poses.shape[0]):
+        for i in range(first[k], first[k + 1]):
+            if patch[i] >= 0 and group[patch[i]] != k:
+                group[patch[i]] = k
+                total += 1
     scan_of, patch_of = np.empty(total, np.int64), np.empty(total, np.int64)
     sums = np.zeros((total, SUMS))
-    group = np.full(lines.shape[0], -1, np.int64)
+    group[:] = -1
     size = np.zeros(lines.shape[0], np.int64)
     count = 0
     for k in range(poses.shape[0]):
