@@ -54,6 +54,7 @@ class Refinement:
     ) -> FloatArray:
         """(K, 3) keyframes after one more round. ``origins_m`` (K, 2): the laser in the body frame."""
         gate_m = self.config.refine.search_radius_m * self._gate_share
+        self._adjusted = None  # its system is large
         adjusted = adjust(
             clouds, origins_m, world_T_body, [*self._ties, *self._loops], self.wheels, self.noise,
             self._iterations, gate_m,

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from mfslam import icp, se2
 from mfslam.adjustment.equations import Equations, Solver, block_matrix
 from mfslam.adjustment.wheels import WheelTerms, between_jacobians
 from mfslam.kernels import partners, wall_patches
+from mfslam.kernels.poses import transform_points
 from mfslam.types import DeskewedScan, Edge, FloatArray, IntArray
 
 SETTLED_M, STALLED = 0.0015, 0.95  # change over SPAN keyframes (RMS), and against that before
@@ -61,6 +63,15 @@ class _Points:
     origins_m: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class _Residuals:
+    """Of each group its patch (M,) and the last four of its sums (M, 4): see `wall_patches.group_sums`."""
+
+    patch_of: IntArray
+    sums: FloatArray
+    patch_count: int
+
+
 def adjust(
     clouds: Sequence[DeskewedScan],
     origins_m: FloatArray,
@@ -90,15 +101,14 @@ def adjust(
     for iteration in range(iterations):
         # wide at first, so that walls that are far from each other still pull
         kernel_m = max(least_kernel_m, gate_m * NARROWING**iteration)
-        lines, patch = _patches(points, poses, kernel_m, noise)
-        groups = _groups(points, poses, lines, patch, kernel_m, noise)
+        solver.forget()  # two of these systems need not lie in memory
+        walls, rhs, residuals = _wall_equations(points, poses, kernel_m, noise, unknowns)
         equations = Equations(unknowns)
-        first, columns, blocks, rhs = wall_patches.pose_equations(count, len(lines), *groups)
         equations.rhs[:count] += rhs
         wheels.add_to(equations.add, poses, count)
         _add_edges(equations, edges, poses)
         equations.hold(0)
-        solver.take([block_matrix(first, columns, blocks, unknowns), equations.matrix()])
+        solver.take([walls, equations.matrix()])
         step = solver.solve(equations.rhs.ravel()).reshape(-1, 3)
         moved = se2.compose(poses, se2.exp(step[:count]))
         change_m = _change_m(poses, moved)
@@ -108,7 +118,7 @@ def adjust(
         if change_m < SETTLED_M or change_m > STALLED * change_before_m:
             break
         change_before_m = change_m
-    return Adjusted(poses, solver, _noise_found(groups, len(lines), count, noise))
+    return Adjusted(poses, solver, _noise_found(residuals, count, noise))
 
 
 def _change_m(before: FloatArray, after: FloatArray) -> float:
@@ -124,9 +134,9 @@ def _patches(
 ) -> tuple[FloatArray, IntArray]:
     """Lines (S, 5) of the patches as the scans stand, and the patch (P,) of every point."""
     oriented = np.empty((len(points.points_m), 4))
-    pose_of = np.repeat(poses, np.diff(points.first), axis=0)
-    oriented[:, :2] = se2.transform(pose_of, points.points_m[:, None])[:, 0]
-    oriented[:, 2:] = se2.transform(pose_of * [0.0, 0.0, 1.0], points.normals[:, None])[:, 0]
+    for k, pose in enumerate(poses):
+        rows = slice(points.first[k], points.first[k + 1])
+        transform_points(pose, points.points_m[rows], points.normals[rows], oriented[rows])
     # long at first: two passes by one wall have patches of their own where they stand half a patch apart
     length_m = max(PATCH_M, PATCH_KERNELS * kernel_m)
     table = icp.reference_table(
@@ -146,14 +156,18 @@ def _patches(
     return lines, patch
 
 
-def _groups(
-    points: _Points, poses: FloatArray, lines: FloatArray, patch: IntArray, kernel_m: float, noise: Noise
-) -> tuple[IntArray, IntArray, FloatArray]:
-    groups: tuple[IntArray, IntArray, FloatArray] = wall_patches.group_sums(
+def _wall_equations(
+    points: _Points, poses: FloatArray, kernel_m: float, noise: Noise, unknowns: int
+) -> tuple[Any, FloatArray, _Residuals]:
+    """What the walls say of the poses: information, right-hand side (K, 3), and what is left of the points."""
+    lines, patch = _patches(points, poses, kernel_m, noise)
+    scan_of, patch_of, sums = wall_patches.group_sums(
         points.points_m, points.origins_m, points.normals, points.first, poses, patch, lines,
         noise.range_sigma_m, noise.patch_sigma_m, kernel_m,
     )  # fmt: skip
-    return groups
+    first, columns, blocks, rhs = wall_patches.pose_equations(len(poses), len(lines), scan_of, patch_of, sums)
+    residuals = _Residuals(patch_of, sums[:, 20:24].copy(), len(lines))
+    return block_matrix(first, columns, blocks, unknowns), rhs, residuals
 
 
 def _add_edges(equations: Equations, edges: Sequence[Edge], poses: FloatArray) -> None:
@@ -171,13 +185,11 @@ def _add_edges(equations: Equations, edges: Sequence[Edge], poses: FloatArray) -
     equations.add([(i, before * both[:, None, None]), (j, after)], error, information)
 
 
-def _noise_found(
-    groups: tuple[IntArray, IntArray, FloatArray], patch_count: int, scan_count: int, noise: Noise
-) -> Noise:
+def _noise_found(residuals: _Residuals, scan_count: int, noise: Noise) -> Noise:
     """The noise that the residuals show: of ranges within the groups, of patches between them."""
-    _, patch_of, sums = groups
+    patch_of, patch_count = residuals.patch_of, residuals.patch_count
     seen_by = np.bincount(patch_of, minlength=patch_count)
-    size, total, squares, slant = sums[seen_by[patch_of] >= MIN_SCANS, 20:24].T
+    size, total, squares, slant = residuals.sums[seen_by[patch_of] >= MIN_SCANS].T
     if not len(size):
         return noise
     within = size > 1.5

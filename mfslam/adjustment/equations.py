@@ -84,6 +84,10 @@ class Solver:
         self._parts: list[Any] = []
         self._precondition: Callable[[FloatArray], FloatArray] = np.copy
 
+    def forget(self) -> None:
+        """Give the matrix back."""
+        self._parts, self._precondition = [], np.copy
+
     def take(self, parts: Sequence[Any]) -> None:
         """The next matrix, as the sum of its parts (`block_matrix`). Raises RuntimeError where it is singular."""
         from scipy.sparse.linalg import splu

@@ -196,9 +196,13 @@ class PoseGraph:
             self._poses[:] = before
         return [self.edges[n] for n in sorted(out)], [self.edges[n] for n in sorted(back)]
 
+    def release_increments(self) -> None:
+        """Drop the incremental solution, after `optimize`: nothing more is going to be added."""
+        self._isam = self._new_isam()
+
     def release(self) -> None:
         """Drop the incremental solution and the edges; the poses stay."""
-        self._isam = self._new_isam()
+        self.release_increments()
         self.edges, self._factor_slots = [], {}
         self._pending_edges, self._pending_factors = [], gtsam.NonlinearFactorGraph()
         self._pending_values = gtsam.Values()
