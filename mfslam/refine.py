@@ -29,8 +29,8 @@ HARDLY_ANYTHING, INERTIA = np.eye(3), 25.0 * np.eye(3)
 class Refinement:
     """Rounds of adjustment, each with keyframes deskewed anew; what one learns of the noise serves the next.
 
-    ``edges``: of the solved graph. Loops that it refused (weight below one half) stay out; the others only
-    bring the places together that they join: from then on their walls say it better.
+    ``edges``: of the solved graph. Loops that it refused (weight below one half) stay out; the others hold places
+    together that share too little for their walls to do so.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Refinement:
             self._iterations, gate_m,
         )  # fmt: skip
         self.noise, self._adjusted = adjusted.noise, adjusted
-        self._loops, self._gate_share, self._iterations = [], 0.5, max(1, self._iterations // 2)
+        self._gate_share, self._iterations = 0.5, max(1, self._iterations // 2)
         return adjusted.world_T_body
 
     def information(self, motion_variances: FloatArray) -> AdjustedInformation:

@@ -64,7 +64,7 @@ def test_a_match_that_was_wrong_does_not_outvote_the_walls():
     assert np.all(np.abs(se2.between(truth, poses)) < [0.006, 0.006, 0.003])
 
 
-def test_loops_pull_in_the_first_round_only_and_refused_ones_never():
+def test_a_loop_that_the_walls_contradict_moves_nothing_and_a_refused_one_takes_no_part():
     scans, truth = drive(12)
     wrong = se2.between(truth[0], truth[11]) + np.array([0.15, 0.0, 0.0])
     loop = Edge("loop", 0, 11, wrong, 1e4 * np.eye(3))

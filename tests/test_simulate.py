@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import signal
@@ -259,7 +258,7 @@ def test_ctrl_c_leaves_nothing(
     """Between the log and its truth: neither is there, nor the folder that was made for them."""
     import mfslam.commands.simulate as command
 
-    monkeypatch.setattr(command, "write_tum", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+    monkeypatch.setattr(command, "write_tum", lambda *_: signal.raise_signal(signal.SIGINT))
     before = set(tmp_path.iterdir())
     assert main(["simulate", world, "-o", str(tmp_path / "new" / "a.clf")]) == 130
     assert "interrupted: nothing was written" in capsys.readouterr().err
