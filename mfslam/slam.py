@@ -20,6 +20,7 @@ from mfslam.kernels import poses
 from mfslam.loops import LoopCloser
 from mfslam.motion import MotionSources
 from mfslam.recovery import reach
+from mfslam.refine import HARDLY_ANYTHING, INERTIA
 from mfslam.types import (
     DeskewedScan,
     Edge,
@@ -33,9 +34,6 @@ from mfslam.types import (
 from mfslam.wheel_errors import WheelErrors
 
 POOR_FIT, GOOD_FIT = 0.25, 0.65  # inlier ratios between which a match gains its full weight
-# of a step that neither scan nor wheels tell (1 m, 1 rad): without it the chain of poses would break there
-HARDLY_ANYTHING = np.eye(3)
-INERTIA = 25.0 * np.eye(3)  # what holds a robot without wheels where its scans leave a direction open
 NO_POINTS = DeskewedScan(0, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
 
 

@@ -22,11 +22,12 @@ from dataclasses import asdict
 from pathlib import Path
 
 from benchmarking.check import complaints, stored_figures
-from benchmarking.page import as_text, machine, write_markdown
+from benchmarking.page import machine, write_markdown
 from benchmarking.runs import find_logs, relations_beside, run_all
 from benchmarking.simulated import ablation_table, simulated_table
 from benchmarking.tables import tables
 
+from mfslam.evaluation.tables import as_text
 from mfslam.output import json_text, write_atomically
 from mfslam.types import MfslamError
 

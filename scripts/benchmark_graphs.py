@@ -16,9 +16,10 @@ from pathlib import Path
 from benchmarking.graph_optima import optima_table
 from benchmarking.graph_outliers import outlier_table
 from benchmarking.graph_speed import speed_table
-from benchmarking.page import as_text, machine, write_markdown
+from benchmarking.page import machine, write_markdown
 from benchmarking.tables import Table
 
+from mfslam.evaluation.tables import as_text
 from mfslam.output import json_text, write_atomically
 from mfslam.types import MfslamError
 

@@ -17,10 +17,11 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarking.page import as_text, machine
+from benchmarking.page import machine
 from benchmarking.runs import Outcome, run_map
 from benchmarking.tables import Table, accuracy_table, cost_table, growth_table
 
+from mfslam.evaluation.tables import as_text
 from mfslam.types import MfslamError
 
 DRIVE = ["--laser", "sick-lms200", "--speed", "1.25", "--seed", "1"]

@@ -22,11 +22,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarking.page import as_markdown, as_text
+from benchmarking.page import as_markdown
 from benchmarking.tables import Table
 
 from drivers.logs import default_presets, open_log
 from mfslam.cli import main as mfslam
+from mfslam.evaluation.tables import as_text
 from mfslam.graph import PoseGraph
 from mfslam.kernels import align, cells, correlate, evidence, raytrace, reach, scans
 from mfslam.settings import load, preset_path

@@ -44,8 +44,8 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """``world_T_body`` (K, 3); ``information``: sparse, (U, U), of right perturbations of the poses, three each,
-    then of the wheels' errors, the first pose being held; ``factors`` of it; ``noise`` as found."""
+    """``world_T_body`` (K, 3); ``solver``: holds the information of right perturbations of the poses, three each, then
+    of the wheels' errors, the first pose being held; ``noise`` as found."""
 
     world_T_body: FloatArray
     solver: Solver
@@ -84,8 +84,8 @@ def adjust(
 ) -> Adjusted:
     """Adjust keyframes (K) from where they stand.
 
-    ``origins_m`` (K, 2): the laser in the body frame. ``edges``: whatever else ties keyframes. ``gate_m``: how far
-    from its patch a point may lie. ``wheels`` learns their errors and noise, in place.
+    ``origins_m`` (K, 2): the laser in the body frame. ``edges``: whatever else ties keyframes. ``gate_m``: scale
+    of the kernel on points in the first iteration. ``wheels`` learns their errors and noise, in place.
     """
     points = _Points(
         np.concatenate([cloud.points_m for cloud in clouds]),

@@ -92,15 +92,14 @@ class Solver:
         """The next matrix, as the sum of its parts (`block_matrix`). Raises RuntimeError where it is singular."""
         from scipy.sparse.linalg import splu
 
-        carry: Any = self._carry
-        carry_back: Any = carry.T.tocsr()
-        coarse = sum(carry_back @ part.tocsr() @ carry for part in parts).tocsc()
+        self._parts = list(parts)
+        carry, coarse = self.coarse()
+        carry_back = carry.T.tocsr()
         factors: Any = splu(
-            coarse, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            coarse.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
-        size = 3 * STRETCH
-        count = -(-parts[0].shape[0] // size)
-        own = np.linalg.inv(sum(_within_stretches(part, count) for part in parts))
+        own = np.linalg.inv(self.within_stretches())
+        count, size = own.shape[:2]
 
         def precondition(rhs: FloatArray) -> FloatArray:
             padded = np.zeros((count, size, 1))
@@ -108,7 +107,6 @@ class Solver:
             single = (own @ padded).ravel()[: len(rhs)]
             return np.asarray(single + carry @ factors.solve(carry_back @ rhs))
 
-        self._parts = list(parts)
         self._precondition = precondition
 
     def coarse(self) -> tuple[Any, Any]:

@@ -14,17 +14,6 @@ from mfslam.types import MfslamError
 LOGS = "benchmark"  # marker of the tables of logs
 
 
-def as_text(table: Table) -> str:
-    widths = [max(len(row[c]) for row in table) for c in range(len(table[0]))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(w) if c == 0 else cell.rjust(w)
-            for c, (cell, w) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in table
-    )
-
-
 def as_markdown(table: Table) -> str:
     head, *rows = [f"| {' | '.join(row)} |" for row in table]
     return "\n".join([head, "|" + " --- |" * len(table[0]), *rows])
