@@ -11,11 +11,12 @@ from drivers.simulator import Simulation, demo_simulation
 from drivers.writers.log import write_log
 from drivers.writers.truth import write_tum
 from mfslam.commands.interrupts import Interrupts
-from mfslam.commands.map_log import Outcome, leave, map_log, say
+from mfslam.commands.map_log import map_log, say
 from mfslam.commands.progress import Progress
 from mfslam.commands.settings import config_for
 from mfslam.kernels.warm_up import compile_once
 from mfslam.metrics import associate, ate
+from mfslam.outcome import Outcome, leave
 from mfslam.output import check_writable, run_folder
 
 LOG, TRUTH = "demo.mcap", "truth.tum"

@@ -3,16 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import ctypes
-import gc
 import sys
-import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from drivers.base import Log
 from drivers.logs import open_log
@@ -21,14 +13,10 @@ from mfslam.commands.progress import Progress
 from mfslam.commands.settings import config_for, topics_of
 from mfslam.config import Config
 from mfslam.kernels.warm_up import compile_once
-from mfslam.mapping import render_map
-from mfslam.metrics import compare_motions
-from mfslam.observability import open_stretches
-from mfslam.output import check_writable, json_text, run_folder, summarise, write_atomically, write_run
+from mfslam.outcome import Outcome, leave, outcome_of
+from mfslam.output import check_writable, run_folder
 from mfslam.slam import Slam, Solution
-from mfslam.types import Findings, MfslamError, OpenStretch, RunResult, Scan
-
-OPEN_TOLD_M = 1.0  # shorter stretches are drawn and listed, but are no finding
+from mfslam.types import Findings, Scan
 
 
 def run(args: argparse.Namespace) -> int:
@@ -46,15 +34,6 @@ def run(args: argparse.Namespace) -> int:
     return 130 if outcome.interrupted else 0
 
 
-@dataclass
-class Outcome:
-    """A finished run: the result, what summary.json says of it, and whether it was cut short."""
-
-    result: RunResult
-    summary: dict[str, Any]
-    interrupted: bool
-
-
 class _Enough(Exception):
     """The user wants the map as it is now."""
 
@@ -68,40 +47,9 @@ def map_log(
     findings = Findings()
     read_log(log, slam, progress, interrupts, findings)
     solution = finish(slam, progress, interrupts, findings)
-    slam.release()
-    give_memory_back()
     progress.tell("drawing the map ...")
-    with slam.clock.time("map"):
-        sharpness = compare_deskewing(slam, solution, config)
-        grid, points = render_map(slam.scans, solution.world_T_reference, solution.twists, config, findings)
-    if not len(points.points_m):
-        raise MfslamError(
-            f"{log.info.path}: none of its {len(slam.scans)} scans has a usable range: nothing to map"
-        )
     findings.merge(log.findings)
-    findings.merge(slam.findings)
-    stretches = open_stretches(solution.world_T_body[solution.keyframes], solution.keyframes, solution.edges)
-    tell_open(stretches, solution, findings)
-    result = RunResult(
-        solution.stamps_ns, solution.world_T_body, solution.keyframes, solution.edges, grid, points, findings,
-        solution.covariances, stretches,
-    )  # fmt: skip
-    interrupted = interrupts.count > 0
-    result.summary = {"deskew": sharpness} | run_summary(
-        log, slam, solution, interrupted, time.process_time() - start_cpu_s
-    )
-    return Outcome(result, summarise(result), interrupted)
-
-
-def compare_deskewing(slam: Slam, solution: Solution, config: Config) -> dict[str, Any]:
-    """How sharp the hits are from the final poses, without deskewing and with the motion as it was known."""
-    while_mapping = np.array([np.zeros(3) if step.twist is None else step.twist[:3] for step in slam.steps])
-    motions = {
-        "off": np.zeros_like(while_mapping),
-        "while_mapping": while_mapping,
-        "optimised": solution.twists,
-    }
-    return compare_motions(slam.scans, solution.world_T_reference, motions, config)
+    return outcome_of(slam, solution, config, log.info, findings, interrupts.count > 0, start_cpu_s)
 
 
 def read_log(log: Log, slam: Slam, progress: Progress, interrupts: Interrupts, findings: Findings) -> None:
@@ -126,13 +74,6 @@ def read_log(log: Log, slam: Slam, progress: Progress, interrupts: Interrupts, f
     progress.tell("interrupted: mapping what was read so far (Ctrl-C again: without refining it)")
 
 
-def give_memory_back() -> None:
-    """Hand what was freed back to the system before large grids and pictures are made: glibc keeps it."""
-    gc.collect()
-    with contextlib.suppress(OSError, AttributeError):  # another C library keeps what it keeps
-        ctypes.CDLL("libc.so.6").malloc_trim(0)
-
-
 def finish(slam: Slam, progress: Progress, interrupts: Interrupts, findings: Findings) -> Solution:
     """Solve and refine, until the user has seen enough."""
     before = interrupts.count
@@ -148,67 +89,6 @@ def finish(slam: Slam, progress: Progress, interrupts: Interrupts, findings: Fin
         findings.add("not-refined", "interrupted while refining: the map is as good as it was by then")
         progress.tell("interrupted: writing the map as it is")
         return slam.solution_so_far()
-
-
-def tell_open(stretches: list[OpenStretch], solution: Solution, findings: Findings) -> None:
-    """A finding for the stretches that are longer than a keyframe step or two."""
-    long = [stretch for stretch in stretches if stretch.travelled_m >= OPEN_TOLD_M]
-    if long:
-        metres = sum(stretch.travelled_m for stretch in long)
-        findings.add(
-            "open-direction",
-            f"the scans left a direction open for {metres:.0f} m of the way: wheels or inertia decided there, "
-            "see open_stretches",
-            f"{solution.stamps_ns[long[0].first_scan] * 1e-9:.6f} s",
-            len(long),
-        )
-
-
-def run_summary(log: Log, slam: Slam, solution: Solution, interrupted: bool, cpu_s: float) -> dict[str, Any]:
-    """What only the run knows; `mfslam.output.summarise` adds counts, distances and residuals."""
-    statistics = slam.loops.statistics
-    stamps = solution.stamps_ns
-    log_s = float(stamps.max() - stamps.min()) * 1e-9
-    return {
-        "log": {"path": str(log.info.path), "format": log.info.format},
-        "interrupted": interrupted,
-        "real_time_factor": log_s / max(cpu_s, 1e-9),
-        "timings_s": {**slam.clock.seconds, "total": cpu_s},
-        "reading_cost_by_quarter": reading_cost(slam),
-        "loops": {
-            "searches": statistics.searches,
-            "places_tried": statistics.places_tried,
-            "accepted": statistics.accepted,
-            "taken_out_while_mapping": statistics.taken_out,
-            "brought_back_while_mapping": statistics.brought_back,
-            "refused": dict(sorted(statistics.refused.items())),
-        },
-        "searched_fits": sum(step.searched for step in slam.steps),
-        "odometry_anomalies": [
-            {"scan": n, "stamp_s": slam.scans[n].stamp_ns * 1e-9} for n in slam.odometry_jumps
-        ],
-        "wheels": slam.wheel_errors.as_json() if slam.wheel_errors is not None else {},
-    }
-
-
-def reading_cost(slam: Slam) -> list[dict[str, float]]:
-    """Way driven and CPU time of the reading, for each quarter of the way: does a metre cost more later on?"""
-    travel_m, cpu_s = np.array(slam.loops.travel_m), np.array(slam.cpu_s)
-    if len(travel_m) < 2:
-        return []
-    ends = np.searchsorted(travel_m, np.linspace(0.0, travel_m[-1], 5)).clip(max=len(travel_m) - 1)
-    return [
-        {"travelled_m": float(m), "cpu_s": float(s)}
-        for m, s in zip(np.diff(travel_m[ends]), np.diff(cpu_s[ends]), strict=True)
-    ]
-
-
-def leave(outcome: Outcome, config: Config, folder: Path, json_file: Path | None) -> None:
-    """Write the folder, and the summary where else it is wanted."""
-    give_memory_back()
-    write_run(outcome.result, config, folder, outcome.summary)
-    if json_file is not None:
-        write_atomically(json_file, json_text(outcome.summary).encode())
 
 
 def say(outcome: Outcome, folder: Path) -> None:
