@@ -93,6 +93,13 @@ def build_parser() -> argparse.ArgumentParser:
     command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")
     command.set_defaults(run=_run_record)
 
+    command = commands.add_parser("view", help="replay a finished run in a browser")
+    command.add_argument("run_folder", metavar="OUT", type=Path, help="folder of `mfslam map`")
+    command.add_argument("--port", dest="view", metavar="PORT", type=int, help="of the page (8765)")
+    _add_view_bind(command)
+    command.add_argument("-q", "--quiet", action="store_true", help="say nothing but the address")
+    command.set_defaults(run=_run_view)
+
     command = commands.add_parser("info", help="tell what a log holds and what is odd in it")
     command.add_argument("log", metavar="LOG", type=Path)
     _add_topics(command)
@@ -296,6 +303,16 @@ def _add_topics(command: argparse.ArgumentParser) -> None:
     group.add_argument("--wheels-topic", metavar="NAME", help="topic of JointState wheel angles")
 
 
+def _add_view_bind(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--view-bind",
+        metavar="ADDRESS",
+        default="127.0.0.1",
+        help="address of this machine to serve the page at (127.0.0.1: nobody else); 0.0.0.0 lets in "
+        "whoever has the page's address, which then holds a token",
+    )
+
+
 def _add_reporting(command: argparse.ArgumentParser) -> None:
     command.add_argument("--json", metavar="FILE", type=Path, help="write the summary there too")
     command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")
@@ -337,6 +354,12 @@ def _run_simulate(args: argparse.Namespace) -> int:
 
 def _run_record(args: argparse.Namespace) -> int:
     from mfslam.commands.record import run
+
+    return run(args)
+
+
+def _run_view(args: argparse.Namespace) -> int:
+    from mfslam.commands.view import run
 
     return run(args)
 

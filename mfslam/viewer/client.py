@@ -1,0 +1,186 @@
+"""The end of the viewer that the engine holds: it is never kept waiting by it."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import signal
+import socket
+import subprocess
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from drivers.own_process import command, environment
+from mfslam.live.state import LiveState
+from mfslam.types import MfslamError, OccupancyGrid
+from mfslam.viewer.place import Job, Place, address
+
+START_S = 60.0
+PAUSE_S = 1.0  # before a viewer that has died is started again
+MOST_RESTARTS = 20
+
+
+class Viewer:
+    """The viewer's process, and a thread that feeds it with the newest state. A context manager.
+
+    Only people who know the address are let in: where other machines can reach it, it holds a token. A viewer
+    that dies is started again at the same address; browsers find it by themselves. Raises MfslamError for an
+    address that cannot be had.
+    """
+
+    def __init__(self, place: Place, title: str, folder: Path) -> None:
+        token = "" if place.local else secrets.token_urlsafe(12)
+        self._job = Job(place, token, {"mode": "live", "title": title, "save": True}, folder)
+        self._wake = threading.Condition()
+        self._state: LiveState | None = None
+        self._answers: deque[tuple[int, dict[str, Any]]] = deque()
+        self._wishes: deque[int] = deque()
+        self._closing = False
+        self.restarts = 0
+        self.trouble: str | None = None
+        self._start()
+        self.url = address(self._job.place, token)
+        self._thread = threading.Thread(target=self._feed, daemon=True, name="viewer")
+        self._thread.start()
+
+    # --- for the engine -------------------------------------------------------------------------------
+
+    def show(self, state: LiveState) -> None:
+        """Have this shown, unless a newer one comes first. Returns at once."""
+        with self._wake:
+            self._state = state
+            self._wake.notify()
+
+    def wish(self) -> int | None:
+        """The number of a wish to save the map now, if a browser has one; it is to be `answer`-ed."""
+        return self._wishes.popleft() if self._wishes else None
+
+    def answer(self, wish: int, text: str | None = None, error: str | None = None) -> None:
+        """What came of a wish, in words."""
+        with self._wake:
+            self._answers.append((wish, {"error": error} if error is not None else {"text": text}))
+            self._wake.notify()
+
+    def close(self) -> None:
+        with self._wake:
+            self._closing = True
+            self._wake.notify()
+        self._thread.join(2.0)
+        self._hang_up()  # the process ends by that
+        try:
+            self.process.wait(3.0)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    # --- its process ----------------------------------------------------------------------------------
+
+    def _start(self) -> None:
+        ours, theirs = socket.socketpair()
+        self.process = subprocess.Popen(
+            command("mfslam.viewer", str(theirs.fileno())),
+            env=environment(),
+            pass_fds=(theirs.fileno(),),
+            start_new_session=True,  # Ctrl-C is the engine's to answer
+        )
+        theirs.close()
+        self._socket, self._line = ours, Connection(os.dup(ours.fileno()))
+        self._line.send(self._job)
+        try:
+            word, value = self._line.recv() if self._line.poll(START_S) else ("failed", "no word in time")
+        except (EOFError, OSError):
+            word, value = "failed", f"the viewer's process {self._how_it_ended()}"
+        if word != "ready":
+            self._socket.close()
+            self._line.close()
+            self.process.kill()
+            self.process.wait()
+            raise MfslamError(value)
+        self._job = replace(self._job, place=replace(self._job.place, port=value))
+        threading.Thread(target=self._listen, args=(self._line,), daemon=True).start()
+
+    def _hang_up(self) -> None:
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # wakes whoever reads or writes, which closing would not
+        self._socket.close()
+
+    def _listen(self, line: Connection) -> None:
+        """Wishes, until the process has gone; the feeding thread is told of that."""
+        try:
+            while True:
+                _, number = line.recv()
+                self._wishes.append(number)
+        except (EOFError, OSError):
+            with self._wake:
+                self._wake.notify()
+
+    def _feed(self) -> None:
+        grid: OccupancyGrid | None = None  # what the process has
+        last: LiveState | None = None
+        while True:
+            with self._wake:
+                self._wake.wait_for(self._something_to_do, 1.0)
+                if self._closing:
+                    return
+                state, self._state = self._state, None
+                answers, self._answers = self._answers, deque()
+            try:
+                for number, answer in answers:
+                    self._line.send(("answer", number, answer))
+                if state is not None:
+                    last = state
+                    self._line.send(("state", replace(state, grid=None) if state.grid is grid else state))
+                    grid = state.grid
+                if self.process.poll() is not None:
+                    raise BrokenPipeError
+            except OSError:
+                if not self._revive():
+                    return
+                grid = None
+                self._state = self._state or last
+
+    def _something_to_do(self) -> bool:
+        return (
+            self._state is not None
+            or bool(self._answers)
+            or self._closing
+            or self.process.poll() is not None
+        )
+
+    def _revive(self) -> bool:
+        """Start the process again; False when that is over."""
+        self.process.wait()
+        how = self._how_it_ended()
+        while not self._closing and self.restarts < MOST_RESTARTS:
+            self.restarts += 1
+            self.trouble = f"the viewer's process {how}: it is started again"
+            time.sleep(PAUSE_S)
+            self._hang_up()
+            try:
+                self._start()
+            except MfslamError as error:
+                how = f"does not start: {error}"
+                continue
+            self.trouble = f"the viewer's process {how} and was started again; mapping went on meanwhile"
+            return True
+        self.trouble = f"the viewer's process {how}: it is not started again; mapping goes on without it"
+        return False
+
+    def _how_it_ended(self) -> str:
+        code = self.process.wait()
+        return f"was killed ({signal.Signals(-code).name})" if code < 0 else f"ended with status {code}"
