@@ -105,12 +105,12 @@ class Viewer:
             word, value = self._line.recv() if self._line.poll(START_S) else ("failed", "no word in time")
         except (EOFError, OSError):
             word, value = "failed", f"the viewer's process {self._how_it_ended()}"
-        if word != "ready":
+        if word != "ready" or not isinstance(value, int):
             self._socket.close()
             self._line.close()
             self.process.kill()
             self.process.wait()
-            raise MfslamError(value)
+            raise MfslamError(str(value))
         self._job = replace(self._job, place=replace(self._job.place, port=value))
         threading.Thread(target=self._listen, args=(self._line,), daemon=True).start()
 
@@ -156,10 +156,7 @@ class Viewer:
 
     def _something_to_do(self) -> bool:
         return (
-            self._state is not None
-            or bool(self._answers)
-            or self._closing
-            or self.process.poll() is not None
+            self._state is not None or bool(self._answers) or self._closing or self.process.poll() is not None
         )
 
     def _revive(self) -> bool:

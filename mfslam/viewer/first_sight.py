@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
@@ -11,6 +13,7 @@ from mfslam.types import FloatArray, IntArray, OccupancyGrid
 LATEST = 65534
 SCANS_AT_ONCE = 64
 MOST_CELLS = 40_000_000  # larger maps are shown whole from the start
+BEAMS_A_SCAN = 100
 STEP_CELLS = 1.0  # along a beam
 
 
@@ -27,14 +30,24 @@ def first_sights(
     seen = np.zeros(grid.occupancy.shape, dtype=np.uint16)
     scans = len(world_T_body)
     scale = (LATEST - 1) / max(1, scans - 1)
-    bounds = np.searchsorted(scan_of_point, np.arange(0, scans + SCANS_AT_ONCE, SCANS_AT_ONCE))
-    for first, last in list(zip(bounds[:-1], bounds[1:], strict=True))[::-1]:  # the earliest writes last
-        _mark(seen, grid, world_T_body, points_m[first:last], scan_of_point[first:last], scale)
+    beams = _some_beams(scan_of_point)
+    bounds = np.searchsorted(scan_of_point[beams], np.arange(0, scans + SCANS_AT_ONCE, SCANS_AT_ONCE))
+    for first, last in list(pairwise(bounds))[::-1]:  # the earliest writes last
+        part = beams[first:last]
+        _mark(seen, grid, world_T_body, points_m[part], scan_of_point[part], scale)
     unseen = (seen == 0) & (grid.occupancy >= 0)
     if unseen.any() and seen.any():
         rows, cols = ndimage.distance_transform_edt(seen == 0, return_distances=False, return_indices=True)
         seen[unseen] = seen[rows[unseen], cols[unseen]]
     return seen
+
+
+def _some_beams(scan: IntArray) -> IntArray:
+    """Rows of at most `BEAMS_A_SCAN` points of each scan, evenly: more of them show the same, later."""
+    start = np.searchsorted(scan, scan)  # of each point's scan
+    count = np.bincount(scan)[scan]
+    every = -(-count // BEAMS_A_SCAN)
+    return np.flatnonzero((np.arange(len(scan)) - start) % every == 0)
 
 
 def _mark(

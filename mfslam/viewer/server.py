@@ -132,7 +132,9 @@ class Handler(BaseHTTPRequestHandler):
         first, slash, rest = path.removeprefix("/").partition("/")
         if show.token:
             if not compare_digest(first.encode(), show.token.encode()):
-                self._refuse(HTTPStatus.FORBIDDEN, "the address lacks its token: take it as mfslam printed it")
+                self._refuse(
+                    HTTPStatus.FORBIDDEN, "the address lacks its token: take it as mfslam printed it"
+                )
                 return None
             if not slash:  # relative addresses on the page need it
                 self.send_response(HTTPStatus.MOVED_PERMANENTLY)
@@ -247,7 +249,9 @@ class Handler(BaseHTTPRequestHandler):
             time.sleep(LEAST_STEP_S)
 
     def _event(self, value: dict[str, Any]) -> None:
-        self.wfile.write(b"data: " + json.dumps(value, allow_nan=False, separators=(",", ":")).encode() + b"\n\n")
+        self.wfile.write(
+            b"data: " + json.dumps(value, allow_nan=False, separators=(",", ":")).encode() + b"\n\n"
+        )
 
 
 def map_zip(folder: Path) -> bytes | None:

@@ -37,6 +37,7 @@ def state(k: int, grid: OccupancyGrid | None = None) -> LiveState:
     return LiveState(
         stamp_ns=1_700_000_000_000_000_000 + 100_000_000 * k,
         world_T_body=pose,
+        local_T_body=pose,
         covariance=np.diag([0.01, 0.04, 0.001]),
         scan_points_m=pose[:2] + 1.5 * np.column_stack([np.cos(angles), np.sin(angles)]),
         keyframes=keyframes,

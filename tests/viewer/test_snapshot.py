@@ -84,8 +84,7 @@ def test_first_difference() -> None:
 def cell(tiles: TileMap, x_m: float, y_m: float) -> int:
     """What the tiles say of a point of the world."""
     col, row = (
-        int(np.floor((v - o) / tiles.resolution_m))
-        for v, o in zip((x_m, y_m), tiles.offset_m, strict=True)
+        int(np.floor((v - o) / tiles.resolution_m)) for v, o in zip((x_m, y_m), tiles.offset_m, strict=True)
     )
     tile = tiles.tiles.get((col // TILE_CELLS, row // TILE_CELLS))
     return UNKNOWN if tile is None else int(tile.cells[row % TILE_CELLS, col % TILE_CELLS])
@@ -115,7 +114,9 @@ def test_a_map_that_grows_keeps_the_tiles_that_are_as_they_were() -> None:
     assert set(b.tiles) == {(0, 0), (1, 0)}  # nothing is known of the new part
     has = Has(Snapshot(map=a), anything=True)
     assert set(news(Snapshot(map=b), has)["map"]["tiles"]) == {"1_0"}
-    assert news(Snapshot(map=b.updated(grid_of((0.0, 0.0), np.zeros((256, 256))))), has)["map"]["gone"] == ["1_0"]
+    assert news(Snapshot(map=b.updated(grid_of((0.0, 0.0), np.zeros((256, 256))))), has)["map"]["gone"] == [
+        "1_0"
+    ]
 
 
 def test_another_resolution_is_another_map() -> None:

@@ -81,7 +81,9 @@ def test_the_map_of_a_finished_run_is_drawn_and_grows_with_its_time(
     browser: Any, run_url: str, tmp_path: Path
 ) -> None:
     browser.get(run_url)
-    wait_until(browser, "return mfslam.tiles.loaded >= 4 && mfslam.replay?.table && mfslam.model.scan.length > 100")
+    wait_until(
+        browser, "return mfslam.tiles.loaded >= 4 && mfslam.replay?.table && mfslam.model.scan.length > 100"
+    )
     time.sleep(0.3)  # a frame
     whole = screenshot(browser, tmp_path / "whole.png")
     assert colour_share(whole, (255, 255, 255)) > 0.25  # free
@@ -103,7 +105,11 @@ def test_play_moves_the_robot_and_the_slider_seeks(browser: Any, run_url: str) -
     browser.execute_script("document.getElementById('play').click()")  # from the end: starts over
     wait_until(browser, "return mfslam.replay.t > 1 && mfslam.replay.t < mfslam.replay.end")
     before = browser.execute_script("return [...mfslam.model.robot.pose]")
-    wait_until(browser, "return mfslam.model.robot.pose.some((v, k) => Math.abs(v - arguments[0][k]) > 0.2)", args=[before])
+    wait_until(
+        browser,
+        "return mfslam.model.robot.pose.some((v, k) => Math.abs(v - arguments[0][k]) > 0.2)",
+        args=[before],
+    )
     browser.execute_script("document.getElementById('play').click()")
     assert browser.execute_script("return document.getElementById('play').textContent") in ("play", "pause")
     seek = "const s = document.getElementById('time'); s.value = arguments[0]; s.dispatchEvent(new Event('input'))"
@@ -115,7 +121,9 @@ def test_play_moves_the_robot_and_the_slider_seeks(browser: Any, run_url: str) -
 # --- live ---------------------------------------------------------------------------------------------
 
 
-def test_a_live_robot_moves_with_map_scan_sensors_and_notes(browser: Any, drive: Drive, tmp_path: Path) -> None:
+def test_a_live_robot_moves_with_map_scan_sensors_and_notes(
+    browser: Any, drive: Drive, tmp_path: Path
+) -> None:
     browser.get(drive.viewer.url)
     wait_until(browser, "return mfslam.tiles.loaded >= 4 && mfslam.model.poses > 3")
     before = browser.execute_script("return mfslam.model.robot.pose[0]")
@@ -138,9 +146,13 @@ def test_the_button_saves_and_offers_the_map(browser: Any, drive: Drive) -> None
     browser.get(drive.viewer.url)
     wait_until(browser, "return !document.getElementById('save').hidden")
     browser.execute_script("document.getElementById('save').click()")
-    told = wait_until(browser, "return document.getElementById('toast').innerText", good=lambda t: "written" in t)
+    told = wait_until(
+        browser, "return document.getElementById('toast').innerText", good=lambda t: "written" in t
+    )
     assert drive.saved == 1 and "download the map" in told
-    assert browser.execute_script("return document.querySelector('#toast a').getAttribute('href')") == "map.zip"
+    assert (
+        browser.execute_script("return document.querySelector('#toast a').getAttribute('href')") == "map.zip"
+    )
 
 
 def test_a_pan_ends_following_and_the_wheel_zooms(browser: Any, drive: Drive) -> None:
@@ -197,5 +209,8 @@ def test_on_a_phone_in_the_dark(browser: Any, drive: Drive, tmp_path: Path) -> N
         picture = screenshot(browser, tmp_path / "phone.png")
         assert picture.mean() < 90 and colour_share(picture, (43, 49, 57)) > 0.3
     finally:
-        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {**phone, "width": 1280, "deviceScaleFactor": 1, "mobile": False})
+        browser.execute_cdp_cmd(
+            "Emulation.setDeviceMetricsOverride",
+            {**phone, "width": 1280, "deviceScaleFactor": 1, "mobile": False},
+        )
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", LIGHT)

@@ -97,7 +97,15 @@ def test_a_page_of_another_site_cannot_save() -> None:
 
 def test_nothing_but_the_page_is_served() -> None:
     with serving(Show(hub_with(), {})) as url:
-        for path in ("../server.py", "%2e%2e/server.py", "page/main.js", "viewer.py", "map.zip", "tiles/9_9", "tiles/x"):
+        for path in (
+            "../server.py",
+            "%2e%2e/server.py",
+            "page/main.js",
+            "viewer.py",
+            "map.zip",
+            "tiles/9_9",
+            "tiles/x",
+        ):
             assert get(url + path)[0] == 404
         with urllib.request.urlopen(url) as reply:
             assert "default-src 'self'" in reply.headers["Content-Security-Policy"]
@@ -164,7 +172,9 @@ def test_a_wish_to_save_is_answered_and_a_killed_viewer_comes_back(tmp_path: Pat
         viewer.show(state(9, room()))
         assert first_with(viewer.url, "hello") == {"mode": "live", "title": "robot", "save": True}
         answers: list[bytes] = []
-        asking = threading.Thread(target=lambda: answers.append(get(f"{viewer.url}save", b"", X_Mfslam="1")[1]))
+        asking = threading.Thread(
+            target=lambda: answers.append(get(f"{viewer.url}save", b"", X_Mfslam="1")[1])
+        )
         asking.start()
         wish = wait_for(viewer.wish)
         viewer.answer(wish, text="written to OUT/")
@@ -199,7 +209,9 @@ def test_the_viewer_ends_with_whoever_started_it(tmp_path: Path) -> None:
     import subprocess
     import sys
 
-    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False
+    )
     viewer = int(done.stdout)
     wait_for(lambda: not _runs(viewer))
 

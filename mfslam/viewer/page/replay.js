@@ -68,7 +68,7 @@ export class Replay {
   async showScan(index) {
     const number = Math.floor(index / SCANS_AT_ONCE);
     const part = this.part(number);
-    if (this.playing) this.part(number + 1); // what comes next
+    if (this.playing && (number + 1) * SCANS_AT_ONCE < this.count) this.part(number + 1); // what comes next
     const scans = part instanceof Promise ? await part : part;
     if (index !== this.index) return;
     this.model.scan = scans[index - number * SCANS_AT_ONCE] ?? new Float32Array(0);
