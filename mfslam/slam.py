@@ -218,7 +218,6 @@ class Slam:
         tell("solving the graph")
         with self.clock.time("final solve"):
             edges = self.graph.optimize(self._motion.revised(self.graph.edges_to_judge()))
-        self.graph.release_increments()
         self.loops.release()
         if self.config.refine.passes and len(self.keyframes) > 1:
             edges = self._adjust(edges, tell)

@@ -10,7 +10,7 @@ import numpy as np
 
 from mfslam import se2
 from mfslam.adjustment.equations import HELD, Solver
-from mfslam.sparse_inverse import inverse_diagonal
+from mfslam.sparse_blocks import inverse_diagonal
 from mfslam.types import FloatArray, IntArray
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mfslam import se2
-from mfslam.sparse_inverse import inverse_diagonal
+from mfslam.sparse_blocks import inverse_diagonal
 from mfslam.trajectory import spread_covariances
 from mfslam.types import Edge, FloatArray, IntArray
 

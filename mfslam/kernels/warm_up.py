@@ -14,10 +14,12 @@ from mfslam import kernels
 from mfslam.kernels import (
     align,
     align_moving,
+    block_cholesky,
     cells,
     correlate,
     evidence,
     glass,
+    graph_terms,
     matrices,
     partners,
     patches,
@@ -25,7 +27,6 @@ from mfslam.kernels import (
     raytrace,
     reach,
     scans,
-    selected_inverse,
     surfels,
     wall_patches,
     walls,
@@ -72,7 +73,7 @@ def call_all() -> None:
     _call_registration(points, normals, table)
     _call_loop_closure(points)
     _call_adjustment(points, normals, table)
-    _call_marginals()
+    _call_graph()
     _call_mapping()
 
 
@@ -143,11 +144,21 @@ def _call_adjustment(points: FloatArray, normals: FloatArray, table: cells.CellT
     wall_patches.pose_equations(1, size, *groups)
 
 
-def _call_marginals() -> None:
-    first, rows = selected_inverse.factor_pattern(np.array([0, 0, 1]), np.array([0]))
+def _call_graph() -> None:
+    first, rows = block_cholesky.factor_pattern(np.array([0, 0, 1]), np.array([0]))
     diagonal, below = np.tile(2.0 * np.eye(3), (2, 1, 1)), -np.eye(3)[None]
-    selected_inverse.factorise(first, rows, diagonal, below)
-    selected_inverse.invert_selected(first, rows, diagonal, below)
+    place, one, rhs = np.array([-1, 0, 1]), np.zeros(1, np.int64), np.zeros((2, 3))
+    edge = np.array([[1, 2]]), np.zeros((1, 3)), np.eye(3)[None]
+    graph_terms.edge_chi2(*edge, np.zeros((3, 3)))
+    graph_terms.normal_equations(
+        *edge, np.ones(1), np.zeros((3, 3)), place, one, 1.0, diagonal, below, rhs
+    )
+    block_cholesky.factorise(first, rows, diagonal, below)
+    block_cholesky.substitute(first, rows, diagonal, below, rhs)
+    graph_terms.moved_poses(np.zeros((3, 3)), place, rhs)
+    path = block_cholesky.path_columns(first, rows, below, one, np.eye(3)[None])
+    block_cholesky.path_product(*path, *path, diagonal)
+    block_cholesky.invert_selected(first, rows, diagonal, below)
 
 
 def _call_mapping() -> None:

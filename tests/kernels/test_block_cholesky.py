@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mfslam.kernels import selected_inverse
+from mfslam.kernels import block_cholesky
 from mfslam.types import FloatArray
 
 
@@ -33,11 +33,11 @@ def test_blocks_in_the_pattern_are_those_of_the_inverse(seed: int, count: int, l
     left = [[j for j in range(i) if block(matrix, i, j).any()] for i in range(count)]
     starts = np.cumsum([0, *map(len, left)])
     columns = np.array([j for row in left for j in row], dtype=np.int64)
-    first, rows = selected_inverse.factor_pattern(starts, columns)
+    first, rows = block_cholesky.factor_pattern(starts, columns)
     of_column = np.repeat(np.arange(count), np.diff(first))
     diagonal = np.array([block(matrix, k, k) for k in range(count)])
     below = np.array([block(matrix, i, j) for i, j in zip(rows, of_column, strict=True)]).reshape(-1, 3, 3)
-    selected_inverse.factorise(first, rows, diagonal, below)
+    block_cholesky.factorise(first, rows, diagonal, below)
     lower = np.eye(3 * count)
     d = np.zeros_like(lower)
     for k in range(count):
@@ -45,7 +45,7 @@ def test_blocks_in_the_pattern_are_those_of_the_inverse(seed: int, count: int, l
     for i, j, value in zip(rows, of_column, below, strict=True):
         block(lower, i, j)[:] = value
     assert np.allclose(lower @ d @ lower.T, matrix)
-    selected_inverse.invert_selected(first, rows, diagonal, below)
+    block_cholesky.invert_selected(first, rows, diagonal, below)
     inverse = np.linalg.inv(matrix)
     scale = np.abs(inverse).max()
     for k in range(count):
