@@ -67,11 +67,10 @@ WATCHED: list[tuple[Any, str, str, Work]] = [
     (evidence, "agreement", "points", lambda a, _: len(a[4])),
     (reach, "relative_sigmas", "keyframes", lambda a, _: len(a[1])),
     (raytrace, "trace_beams", "cells", lambda a, _: _cells_of(a)),
-    (PoseGraph, "_flush", "poses", lambda a, _: len(a[0])),
+    (PoseGraph, "_solve", "poses", lambda a, _: len(a[0])),
     (PoseGraph, "relative_covariance", "marginals", lambda _, __: 1.0),
     (PoseGraph, "settle_disputes", "calls", lambda _, __: 1.0),
     (PoseGraph, "optimize", "edges", lambda a, _: len(a[1])),
-    (PoseGraph, "optimize_with", "edges", lambda a, _: len(a[1])),
 ]
 
 

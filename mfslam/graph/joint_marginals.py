@@ -87,9 +87,10 @@ class JointMarginals:
         rows = self._factor.place[list(at)].astype(np.int64)
         given = np.array([by_pose.T for by_pose in at.values()]).reshape(-1, 3, 3)
         pattern = self._factor.pattern
-        return _Motion(
-            *block_cholesky.path_columns(pattern.first, pattern.rows, self._factor.below, rows, given), steps
+        path, blocks = block_cholesky.path_columns(
+            pattern.first, pattern.rows, self._factor.below, rows, given
         )
+        return _Motion(path, blocks, steps)
 
     def _product(self, a: _Motion, b: _Motion) -> FloatArray:
         """(3, 3) covariance of two motions."""

@@ -109,7 +109,9 @@ class PoseGraph:
         """(3, 3) covariance of i_T_j, in its tangent, from the joint marginal of both poses."""
         if self._marginals is None or self._marginals.is_old():
             solver = PoseSolver(self._arrays, len(self))
-            solver.linearise(self._poses, self._in_use(), self._arrays.is_loop, self.config.loop_kernel_sigmas)
+            solver.linearise(
+                self._poses, self._in_use(), self._arrays.is_loop, self.config.loop_kernel_sigmas
+            )
             self._marginals = JointMarginals(solver.factor, self._poses)
         return self._marginals.relative(i, j)
 
@@ -261,9 +263,7 @@ class PoseGraph:
         def cost(poses: FloatArray) -> float:
             return float(np.minimum(solver.chi2(poses), limits)[believed].sum())
 
-        solved = graduated_solve(
-            solver, self._poses, believed.astype(np.float64), edges.is_loop, limit
-        )
+        solved = graduated_solve(solver, self._poses, believed.astype(np.float64), edges.is_loop, limit)
         if cost(solved) <= cost(self._poses):
             self._move(solved)
         return np.where(solver.chi2(self._poses) <= limits, 1.0, 0.0)

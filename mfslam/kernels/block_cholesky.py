@@ -180,7 +180,7 @@ def path_product(
     path_a: IntArray, a: FloatArray, path_b: IntArray, b: FloatArray, diagonal: FloatArray
 ) -> FloatArray:
     """A^T H^-1 B (3, 3) of two that `path_columns` made: the sum of a^T D^-1 b where both are not zero."""
-    out = np.zeros((1, 3, 3))
+    out: FloatArray = np.zeros((1, 3, 3))
     scaled = np.zeros((1, 3, 3))
     p = q = 0
     while p < path_a.shape[0] and q < path_b.shape[0]:
@@ -196,7 +196,7 @@ def path_product(
             _subtract_transposed_product(out, 0, a, p, scaled, 0)
             p += 1
             q += 1
-    return out[0]
+    return out.reshape(3, 3)
 
 
 @njit(cache=True, nogil=True)

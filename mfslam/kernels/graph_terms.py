@@ -38,9 +38,7 @@ def _chi2(information: FloatArray, e: int, r: FloatArray) -> float:
 
 
 @njit(cache=True, nogil=True)
-def edge_chi2(
-    ends: IntArray, measured: FloatArray, information: FloatArray, poses: FloatArray
-) -> FloatArray:
+def edge_chi2(ends: IntArray, measured: FloatArray, information: FloatArray, poses: FloatArray) -> FloatArray:
     """(E,) chi2 of every edge at ``poses`` (K, 3); ``ends`` (E, 2) keyframes, ``measured`` (E, 3)."""
     out = np.empty(ends.shape[0])
     r = np.empty(7)

@@ -150,9 +150,7 @@ def _call_graph() -> None:
     place, one, rhs = np.array([-1, 0, 1]), np.zeros(1, np.int64), np.zeros((2, 3))
     edge = np.array([[1, 2]]), np.zeros((1, 3)), np.eye(3)[None]
     graph_terms.edge_chi2(*edge, np.zeros((3, 3)))
-    graph_terms.normal_equations(
-        *edge, np.ones(1), np.zeros((3, 3)), place, one, 1.0, diagonal, below, rhs
-    )
+    graph_terms.normal_equations(*edge, np.ones(1), np.zeros((3, 3)), place, one, 1.0, diagonal, below, rhs)
     block_cholesky.factorise(first, rows, diagonal, below)
     block_cholesky.substitute(first, rows, diagonal, below, rhs)
     graph_terms.moved_poses(np.zeros((3, 3)), place, rhs)
