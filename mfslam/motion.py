@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from mfslam.types import (
     Findings,
     FloatArray,
     Imu,
+    Laser,
     Message,
     Odometry,
     Scan,
@@ -133,7 +135,8 @@ class MotionSources:
         laser, config = scan.laser, self.config
         stamp_s = self._sensed_s(scan)
         reference_s = stamp_s + reference_offset_s(laser)
-        start_s, end_s = stamp_s + float(laser.offsets_s.min()), stamp_s + float(laser.offsets_s.max())
+        first_s, last_s = _span_s(laser)
+        start_s, end_s = stamp_s + first_s, stamp_s + last_s
         time_s = max(reference_s, self.times_s[-1]) if self.times_s else reference_s
         dt_s = time_s - self.times_s[-1] if self.times_s else 0.0
         odom = self._odometry_at(scan, reference_s, local_T_body) if config.odometry.use else None
@@ -213,7 +216,7 @@ class MotionSources:
 
     def _wheel_edge(self, i: int, j: int) -> Edge:
         step, errors = self._wheel_steps[i, j], self.wheel_errors
-        return Edge("odometry", i, j, errors.corrected(step.told), errors.factor_information(step))
+        return Edge("odometry", i, j, *errors.factor(step))
 
     def _sensed_s(self, scan: Scan) -> float:
         """When the scan was sensed, by its stamp; poses that came with scans are as late as they are."""
@@ -253,6 +256,12 @@ class MotionSources:
         # the wheels have not told this instant yet: they turn on as they did, and do not stand still
         twist = track.twist_over(track.times_s[-1], track.times_s[-1], self.config.odometry)
         return se2.compose(track.odom_T_body[-1], se2.exp(twist * since_s))
+
+
+@lru_cache(maxsize=64)
+def _span_s(laser: Laser) -> tuple[float, float]:
+    """Instants of a scan's first and last beam, from its stamp."""
+    return float(laser.offsets_s.min()), float(laser.offsets_s.max())
 
 
 def _has_left_start(local_T_body: FloatArray) -> bool:

@@ -39,9 +39,8 @@ class OdometryTrack:
             # stamps in bursts are no proof of speed: at least twice the usual time between two readings
             usual_s = (time_s - self.times_s[0]) / len(self.times_s)
             span_s = max(time_s - self.times_s[-1], 2.0 * usual_s, 0.05) + pause_s
-            if broken or not is_plausible(
-                poses.between(self.odom_T_body[-1], odom_T_body) / span_s, self._config
-            ):
+            x, y, theta = poses.between(self.odom_T_body[-1], odom_T_body).tolist()
+            if broken or not is_plausible((x / span_s, y / span_s, theta / span_s), self._config):
                 self._breaks.append((self.times_s[-1], time_s))
         self.times_s.append(time_s)
         self.odom_T_body.append(odom_T_body)
@@ -93,7 +92,7 @@ class OdometryTrack:
         return t0, t1
 
 
-def is_plausible(twist: FloatArray, config: OdometryConfig) -> bool:
+def is_plausible(twist: FloatArray | tuple[float, float, float], config: OdometryConfig) -> bool:
     """Whether wheels can have turned so fast; otherwise it is a jump of the counters."""
     return (
         math.hypot(twist[0], twist[1]) <= config.max_speed_m_s and abs(twist[2]) <= config.max_yaw_rate_rad_s
@@ -102,8 +101,10 @@ def is_plausible(twist: FloatArray, config: OdometryConfig) -> bool:
 
 def begins_anew(before: FloatArray, told: FloatArray) -> bool:
     """Whether wheels that stood at ``before`` (3,) were set back to where their dead reckoning begins."""
-    away = math.hypot(before[0], before[1]) > RESTART_FROM_M or abs(before[2]) > RESTART_FROM_RAD
-    return away and max(abs(float(v)) for v in told) < RESTART_AT
+    x, y, theta = told.tolist()
+    if abs(x) >= RESTART_AT or abs(y) >= RESTART_AT or abs(theta) >= RESTART_AT:
+        return False
+    return math.hypot(before[0], before[1]) > RESTART_FROM_M or abs(float(before[2])) > RESTART_FROM_RAD
 
 
 def is_jump(step: FloatArray, dt_s: float, config: OdometryConfig) -> bool:
@@ -125,7 +126,8 @@ def factor_variances(step: FloatArray, distrusted: bool, config: OdometryConfig)
 def step_sigmas(step: FloatArray, config: OdometryConfig) -> FloatArray:
     """One-sigma noise (3,) of a wheel motion ``step`` (3,) in its own frame: grows with the distance and
     the turn, sideways slip included."""
-    distance_m, turn_rad = math.hypot(step[0], step[1]), abs(step[2])
+    x, y, theta = step.tolist()
+    distance_m, turn_rad = math.hypot(x, y), abs(theta)
     along = config.sigma_floor_m + config.sigma_translation_per_m * distance_m
     across = config.sigma_floor_m + config.sigma_lateral_per_m * distance_m
     turn = (

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mfslam import se2
 from mfslam.config import OdometryConfig
 from mfslam.odometry import factor_variances, step_sigmas
 from mfslam.types import FloatArray
@@ -94,9 +93,8 @@ class WheelErrors:
 
     def corrected(self, step: FloatArray) -> FloatArray:
         """A step (3,) as told by the wheels, without the errors learned so far."""
-        x, y, theta = (float(v) for v in step)
-        added = self.turn_scale * theta + self.drift_rad_per_m * x
-        return self._bent(np.array([x, y, theta]), 1.0 + self.scale, added)
+        x, _, theta = step.tolist()
+        return self._bent(step, 1.0 + self.scale, self.turn_scale * theta + self.drift_rad_per_m * x)
 
     def told(self, corrected: FloatArray) -> FloatArray:
         """The inverse of `corrected`: what the wheels told."""
@@ -111,17 +109,20 @@ class WheelErrors:
     def _bent(step: FloatArray, scale: float, added_rad: float) -> FloatArray:
         """A step scaled, with a turn added evenly along it."""
         c, s = scale * math.cos(0.5 * added_rad), scale * math.sin(0.5 * added_rad)
-        x, y, theta = step
-        return np.array([c * x - s * y, s * x + c * y, float(se2.wrap(theta + added_rad))])
+        x, y, theta = step.tolist()
+        turn = math.pi - (math.pi - (theta + added_rad)) % (2.0 * math.pi)  # on (-pi, pi]
+        return np.array([c * x - s * y, s * x + c * y, turn])
 
-    def factor_information(self, step: WheelStep) -> FloatArray:
-        """(3, 3) information of the corrected step as a factor: by the noise that was learned, less where
+    def factor(self, step: WheelStep) -> tuple[FloatArray, FloatArray]:
+        """The corrected step (3,) as a factor and its information (3, 3): by the noise that was learned, less where
         this step contradicts the scans."""
         corrected = self.corrected(step.told)
         variances = self.noise_share * factor_variances(corrected, step.jumped, self._config)
         off = (step.matched - corrected) ** 2
         sure = variances + _variances(step.information)
-        return np.diag(1.0 / (variances + np.where(off > CONTRADICTION_SIGMAS**2 * sure, off, 0.0)))
+        information = np.zeros((3, 3))
+        information.flat[::4] = 1.0 / (variances + np.where(off > CONTRADICTION_SIGMAS**2 * sure, off, 0.0))
+        return corrected, information
 
     def skip(self) -> None:
         """The chain of steps is broken: the next one begins a new measurement."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mfslam import se2
+from mfslam.kernels import block_cholesky
 from mfslam.types import FloatArray, IntArray
 
 HELD = 1e10  # information that nails an unknown
@@ -120,7 +121,10 @@ class Solver:
         return np.asarray(sum(_within_stretches(part, count) for part in self._parts))
 
     def _times(self, x: FloatArray) -> FloatArray:
-        return np.asarray(sum(part @ x for part in self._parts))
+        out = np.zeros_like(x)
+        for part in self._parts:
+            block_cholesky.add_product(part.indptr, part.indices, part.data, x, out)
+        return out
 
     def solve(self, rhs: FloatArray, relative_error: float = RELATIVE_ERROR) -> FloatArray:
         x, left = np.zeros_like(rhs), rhs.copy()

@@ -37,16 +37,17 @@ class JointMarginals:
         self._count = len(factor.place)
         self._world_T_body = world_T_body
         self._steps = np.empty((0, 3, 3))  # covariance of each step after the factor
+        self._new_steps: list[FloatArray] = []  # information of those that no marginal was asked for since
         self._loops: list[_Motion] = []
         self._among_loops = np.empty((0, 0))
 
     def is_old(self) -> bool:
-        return len(self._loops) > MOST_LOOPS or len(self._steps) > MOST_STEPS
+        return len(self._loops) > MOST_LOOPS or len(self._steps) + len(self._new_steps) > MOST_STEPS
 
     def add_step(self, world_T_body: FloatArray, information: FloatArray) -> None:
         """The next keyframe: all poses (K, 3), and the (3, 3) information of the step to the last one."""
         self._world_T_body = world_T_body
-        self._steps = np.concatenate([self._steps, np.linalg.inv(information)[None]])
+        self._new_steps.append(information)
 
     def add_loop(self, i: int, j: int, information: FloatArray) -> None:
         loop = self._motion(i, j)
@@ -72,6 +73,9 @@ class JointMarginals:
 
     def _motion(self, i: int, j: int) -> _Motion:
         """The error of i_T_j: that of j, less that of i carried there."""
+        if self._new_steps:
+            self._steps = np.concatenate([self._steps, np.linalg.inv(self._new_steps)])
+            self._new_steps = []
         by_i = -_carried(self._world_T_body, i, j)
         at: dict[int, FloatArray] = {}
         steps = np.zeros_like(self._steps)

@@ -242,20 +242,25 @@ def pose_equations(
     for g in range(groups):  # groups come in order of scans, so they do within each patch
         by_patch[fill[patch_of[g]]] = g
         fill[patch_of[g]] += 1
-    first = np.zeros(scans + 1, np.int64)
+    # a row has its diagonal first, then what is left of it, then, by rising column, what is right of it
+    first, left, right = np.zeros(scans + 1, np.int64), np.zeros(scans, np.int64), np.zeros(scans, np.int64)
     mark = np.full(scans, -1, np.int64)
-    for k in range(scans):  # size of every row, the diagonal first
-        mark[k] = k
-        first[k + 1] = first[k] + 1
+    for k in range(scans):
         for g in range(row_first[k], row_first[k + 1]):
             q = patch_of[g]
             if root[q, 0] == 0.0:
                 continue
             for at in range(patch_first[q], patch_first[q + 1]):
                 other = scan_of[by_patch[at]]
+                if other >= k:
+                    break
                 if mark[other] != k:
                     mark[other] = k
-                    first[k + 1] += 1
+                    left[k] += 1
+                    right[other] += 1
+    for k in range(scans):
+        first[k + 1] = first[k] + 1 + left[k] + right[k]
+        right[k] = first[k] + 1 + left[k]  # from here on: where the next one goes
     column, blocks = np.empty(first[scans], np.int64), np.zeros((first[scans], 3, 3))
     slot = np.full(scans, -1, np.int64)
     for k in range(scans):
@@ -269,6 +274,8 @@ def pose_equations(
             for at in range(patch_first[q], patch_first[q + 1]):
                 h = by_patch[at]
                 other = scan_of[h]
+                if other > k:  # the mirror image of what that row will have
+                    break
                 b = slot[other]
                 if b < first[k] or b >= free or column[b] != other:
                     b = free
@@ -289,4 +296,11 @@ def pose_equations(
                     blocks[b, 1, 2] += own[4]
                     blocks[b, 2, 1] += own[4]
                     blocks[b, 2, 2] += own[5]
+        for b in range(first[k] + 1, free):
+            mirror = right[column[b]]
+            right[column[b]] += 1
+            column[mirror] = k
+            for u in range(3):
+                for v in range(3):
+                    blocks[mirror, u, v] = blocks[b, v, u]
     return first, column, blocks, rhs
