@@ -2,14 +2,14 @@
 
 Every loop outside the odometry chain has Tukey's weight (1 - chi2 / L)^2, none above L. L falls from far above
 to what chi2 of a true loop allows, one step of least squares each time, so loops are refused only when those that
-agree have pulled the graph together. Three things make it hold where plain schedules fail:
+agree have pulled the graph together. What makes it hold where plain schedules fail:
 
-- it begins at dead reckoning, not at a least-squares solve that false loops have folded already;
+- it begins at dead reckoning, at a graph built up along the path and at one whose loops were as soft as the drift
+  between their ends (`robust_starts`), never at a least-squares solve that false loops have folded already; the
+  result with the lowest truncated cost is kept;
 - it is heated again: what was refused beside a false loop may come back once that one is gone;
 - noise that is smaller than the file says is seen in the loops that agree, and L then falls further:
   under noise models forty times too wide a chain bends to a false loop at no cost.
-
-Several heats are tried, and the one with the lowest truncated cost is kept.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from scipy.stats import chi2 as chi2_distribution
 
 from mfslam import se2
 from mfslam.graph.batch import Solution, solve
+from mfslam.graph.robust_starts import annealed, drift_annealed, grown, steps_of_chain
 from mfslam.pose_graphs.data import Problem
 from mfslam.types import FloatArray
 
 LIMIT = float(chi2_distribution.ppf(0.99, 3))  # chi2 of a true loop
-_MEDIAN = float(chi2_distribution.median(3))
-_HEATS = (10.0, 100.0)  # times LIMIT
-_KERNEL = ("geman-mcclure", 2.3849)
-_KERNEL_STEPS = 20
+_SEEN = (0.5, 0.95)  # shares of the loops whose chi2 tells how wide the noise is
+_EXPECTED = chi2_distribution.ppf(_SEEN, 3)
+_HEAT = 10.0  # times LIMIT
 _ROUNDS = 3
-_PACE = 2.0
-_SPARE = 10.0  # noise of real loops has wider tails than its median tells
-_NO_LOOP = 1e-2  # of weight
+_SPARE = 5.0  # noise of real loops has wider tails than most of them tell
+_NARROWEST = 1e-3  # of LIMIT
+_SAME = 1.3  # ratio of two limits that are one
 
 
 def solve_robust(problem: Problem, start: FloatArray) -> Solution:
@@ -45,11 +45,11 @@ def solve_robust(problem: Problem, start: FloatArray) -> Solution:
     if problem.chain().all():
         return solve(problem, start)
     reckoned = dead_reckoning(problem)
-    begin = start if reckoned is None else reckoned
-    tried = [_heated(problem, begin, heat) for heat in _HEATS]
-    # where dead reckoning is far off, a redescending kernel may come nearer first
-    kernel = solve(problem, begin, kernel=_KERNEL, max_iterations=_KERNEL_STEPS).world_T_pose
-    tried.append(_heated(problem, kernel, _HEATS[0]))
+    if reckoned is None:
+        tried = [_heated(problem, start)]
+    else:
+        grown_poses = grown(problem, reckoned, _HEAT * LIMIT, LIMIT)
+        tried = [_heated(problem, poses) for poses in (grown_poses, reckoned, _eased(problem, reckoned))]
     limit = min(_limit(problem, poses) for poses, _ in tried)
     poses, weights = min(tried, key=lambda pair: truncated_cost(problem, pair[0], limit))
     final = solve(problem, poses, weights)
@@ -58,7 +58,7 @@ def solve_robust(problem: Problem, start: FloatArray) -> Solution:
 
 def dead_reckoning(problem: Problem) -> FloatArray | None:
     """(N, 3): every pose from the one before it by the edge between them, or None where one is missing."""
-    n = np.flatnonzero((np.abs(problem.j - problem.i) == 1) & (problem.i < problem.size))
+    n = np.flatnonzero(steps_of_chain(problem))
     i, j, i_T_j = problem.i[n], problem.j[n], problem.i_T_j[n]
     steps = np.full((problem.size, 3), np.nan)
     steps[np.maximum(i, j)] = np.where((j > i)[:, None], i_T_j, se2.inverse(i_T_j))
@@ -76,29 +76,29 @@ def truncated_cost(problem: Problem, world_T_pose: FloatArray, limit: float) -> 
     return float(np.minimum(problem.chi2(world_T_pose), np.where(problem.chain(), np.inf, limit)).sum())
 
 
-def _heated(problem: Problem, poses: FloatArray, heat: float) -> tuple[FloatArray, FloatArray]:
+def _heated(problem: Problem, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
     limit, weights = LIMIT, np.zeros(len(problem.i))
+    trusted = problem.chain()
     for _ in range(_ROUNDS):
         before = weights
-        poses, weights = _anneal(problem, poses, heat * LIMIT, limit)
+        poses = annealed(problem, poses, _HEAT * LIMIT, limit)
+        weights = np.where(trusted | (problem.chi2(poses) <= limit), 1.0, 0.0)
+        poses = solve(problem, poses, weights).world_T_pose
         limit = _limit(problem, poses)
         if np.array_equal(before, weights):
             break
     return poses, weights
 
 
-def _anneal(problem: Problem, poses: FloatArray, top: float, bottom: float) -> tuple[FloatArray, FloatArray]:
-    trusted = problem.chain()
-    limit = top
-    while True:
-        weights = np.where(trusted, 1.0, np.clip(1.0 - problem.chi2(poses) / limit, 0.0, 1.0) ** 2)
-        weights[weights < _NO_LOOP] = 0.0
-        poses = solve(problem, poses, weights, max_iterations=1).world_T_pose
-        if limit <= bottom:
+def _eased(problem: Problem, reckoned: FloatArray) -> FloatArray:
+    """Loops as soft as the drift between their ends at first, again under the noise that was found."""
+    limit = LIMIT
+    for _ in range(_ROUNDS):
+        poses = drift_annealed(problem, reckoned, limit)
+        before, limit = limit, _limit(problem, poses)
+        if max(before, limit) < _SAME * min(before, limit):
             break
-        limit = max(limit / _PACE, bottom)
-    weights = np.where(trusted | (problem.chi2(poses) <= bottom), 1.0, 0.0)
-    return solve(problem, poses, weights).world_T_pose, weights
+    return poses
 
 
 def _limit(problem: Problem, poses: FloatArray) -> float:
@@ -107,4 +107,5 @@ def _limit(problem: Problem, poses: FloatArray) -> float:
     agree = chi2[~problem.chain() & (chi2 <= LIMIT)]
     if not len(agree):
         return LIMIT
-    return LIMIT * float(np.clip(_SPARE * np.median(agree) / _MEDIAN, 1e-3, 1.0))
+    wide = float(np.max(np.quantile(agree, _SEEN) / _EXPECTED))
+    return LIMIT * float(np.clip(_SPARE * wide, _NARROWEST, 1.0))

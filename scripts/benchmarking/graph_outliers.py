@@ -19,33 +19,57 @@ from mfslam.pose_graphs.chordal import chordal_start
 from mfslam.pose_graphs.data import Problem
 from mfslam.types import BoolArray, FloatArray, MfslamError
 
-METHODS = ("none", *KERNEL_SIGMAS, "gnc")
+KERNELS = ("none", *KERNEL_SIGMAS)
 KINDS: tuple[Kind, ...] = ("uniform", "grouped")
 SHARES = (0.1, 0.2, 0.5)
-SEED = 1
+SEEDS = (1, 2, 3)  # of the false loops that gnc gets; kernels get those of the first
 _ITERATIONS = 10  # of a kernel: false loops make a graph dense, and what is stuck by then stays stuck
 NOISE = 0.1  # of ringCity's sigmas, which the file states and does not have
 
 
 def outlier_table(folder: Path) -> Table:
-    rows = [["graph", "false loops", *METHODS, "gnc CPU s"]]
+    gnc = [f"gnc, seed {seed}" for seed in SEEDS]
+    rows = [["graph", "false loops", *(f"{kernel}, seed {SEEDS[0]}" for kernel in KERNELS), *gnc,
+             "gnc, worst over clean", "gnc CPU s, median"]]  # fmt: skip
     for name, (problem, truth) in _graphs(folder).items():
-        clean = solve(problem, _start(problem))
-        reference = clean.world_T_pose if truth is None else truth
-        error = ate(reference, clean.world_T_pose).translation_m.rmse
-        rows.append([f"{name}", "none", f"{error:.3f}", *["-"] * (len(METHODS) - 1), "-"])
+        clean = solve(problem, _start(problem)).world_T_pose
+        reference = clean if truth is None else truth
+        rows.append(_row(problem, clean, reference, name, None, 0.0))
+        of_clean = rows[-1][-3]
         for kind in KINDS:
             for share in SHARES:
-                say(f"{name}, {share:.0%} {kind}")
-                spoiled, false = with_false_loops(problem, clean.world_T_pose, share, kind, SEED)
-                cells, cpu_s = [], 0.0
-                for method in METHODS:
-                    solution = _solve(spoiled, method)
-                    cells.append(_cell(reference, solution, false))
-                    cpu_s = solution.cpu_s if solution is not None else 0.0
-                rows.append([name, f"{share:.0%} {kind} ({int(false.sum()):,})", *cells, f"{cpu_s:.1f}"])
+                rows.append(_row(problem, clean, reference, name, kind, share))
+                rows[-1][-2] = _worst(rows[-1][-2 - len(SEEDS) : -2], of_clean)
                 say(" | ".join(rows[-1]))
     return rows
+
+
+def _row(
+    problem: Problem, clean: FloatArray, reference: FloatArray, name: str, kind: Kind | None, share: float
+) -> list[str]:
+    """Kernels on the first draw, gnc on all; without a kind, the graph as it is."""
+    say(f"{name}, {share:.0%} {kind or 'false loops'}")
+    draws = [
+        with_false_loops(problem, clean, share if kind else 0.0, kind or "uniform", seed) for seed in SEEDS
+    ]
+    first, false = draws[0]
+    kernels = [_cell(reference, _solve(first, kernel), false) for kernel in KERNELS]
+    robust = [(_solve(graph, "gnc"), wrong) for graph, wrong in (draws if kind else draws[:1])]
+    cells = [_cell(reference, solution, wrong) for solution, wrong in robust]
+    if kind is None:
+        cells *= len(SEEDS)
+    cpu_s = float(np.median([solution.cpu_s for solution, _ in robust if solution is not None]))
+    what = f"{share:.0%} {kind} ({int(false.sum()):,})" if kind else "none"
+    return [name, what, *kernels, *cells, "-", f"{cpu_s:.1f}"]
+
+
+def _worst(cells: list[str], clean: str) -> str:
+    """Largest ATE of the seeds over that of the graph without false loops, to the table's millimetre."""
+    errors = [float(cell.split()[0]) if cell != "failed" else np.inf for cell in cells]
+    before, worst = float(clean.split()[0]), max(errors)
+    if before == 0:
+        return "1.00" if worst == 0 else "inf"
+    return f"{worst / before:.2f}"
 
 
 def _graphs(folder: Path) -> dict[str, tuple[Problem, FloatArray | None]]:
@@ -61,7 +85,7 @@ def _graphs(folder: Path) -> dict[str, tuple[Problem, FloatArray | None]]:
 
 
 def _noisy(problem: Problem) -> Problem:
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(SEEDS[0])
     sigmas = NOISE / np.sqrt(np.einsum("eaa->ea", problem.information))
     noise = se2.exp(rng.normal(0.0, 1.0, sigmas.shape) * sigmas)
     return Problem(
