@@ -93,6 +93,21 @@ def build_parser() -> argparse.ArgumentParser:
     command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")
     command.set_defaults(run=_run_record)
 
+    command = commands.add_parser("replay", help="drive the live engine from a log")
+    command.add_argument("log", metavar="LOG", type=Path, help="CARMEN, urg-text, ROS 1 or ROS 2 log")
+    command.add_argument(
+        "-o", "--output", metavar="OUT", type=Path, required=True, help="folder for the results"
+    )
+    command.add_argument("--overwrite", action="store_true", help="replace what OUT holds")
+    command.add_argument(
+        "--speed", metavar="X", default="1", help="times the pace of the log, or max: as fast as it maps (1)"
+    )
+    _add_map_every(command)
+    _add_topics(command)
+    _add_settings(command)
+    command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")
+    command.set_defaults(run=_run_replay)
+
     command = commands.add_parser("view", help="replay a finished run in a browser")
     command.add_argument("run_folder", metavar="OUT", type=Path, help="folder of `mfslam map`")
     command.add_argument("--port", dest="view", metavar="PORT", type=int, help="of the page (8765)")
@@ -303,6 +318,13 @@ def _add_topics(command: argparse.ArgumentParser) -> None:
     group.add_argument("--wheels-topic", metavar="NAME", help="topic of JointState wheel angles")
 
 
+def _add_map_every(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--map-every", metavar="S", type=float, default=15.0,
+        help="the map in OUT is refined and drawn anew at most every so many seconds (15)",
+    )  # fmt: skip
+
+
 def _add_view_bind(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--view-bind",
@@ -354,6 +376,12 @@ def _run_simulate(args: argparse.Namespace) -> int:
 
 def _run_record(args: argparse.Namespace) -> int:
     from mfslam.commands.record import run
+
+    return run(args)
+
+
+def _run_replay(args: argparse.Namespace) -> int:
+    from mfslam.commands.replay import run
 
     return run(args)
 

@@ -91,6 +91,7 @@ class Frontend:
     wheels_trusted: bool = True
     last_dt_s: float = 0.0
     blind_s: float = 0.0  # since the robot's pose was last known
+    spacing: float = 1.0  # of keyframes, times what is configured: a live run on a slow machine widens it
 
     def process(self, index: int, scan: Scan, motion: PredictedMotion) -> Step:
         """Place one scan in the local frame."""
@@ -143,9 +144,11 @@ class Frontend:
         lost = match.inlier_ratio < LOST_SHARE * config.frontend.min_inlier_ratio
         self.blind_s = blind_s if lost and not likely else 0.0
         moved = poses.between(self.recent[-1].local_T_body, self.local_T_body)
-        is_keyframe = math.hypot(moved[0], moved[1]) >= config.frontend.keyframe_distance_m or abs(
+        is_keyframe = math.hypot(
+            moved[0], moved[1]
+        ) >= self.spacing * config.frontend.keyframe_distance_m or abs(
             moved[2]
-        ) >= math.radians(config.frontend.keyframe_angle_deg)
+        ) >= self.spacing * math.radians(config.frontend.keyframe_angle_deg)
         if is_keyframe:
             self._add_keyframe(index, cloud)
         return Step(self.local_T_body, match, is_keyframe, searched, jump, twist=twist)

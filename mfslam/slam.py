@@ -207,6 +207,10 @@ class Slam:
 
     # --- the end ------------------------------------------------------------------------------------
 
+    def place_last(self) -> None:
+        """Place the scan that waits for the one after it."""
+        self._place_waiting()
+
     def finish(self, tell: Callable[[str], None] = lambda _: None) -> Solution:
         """Solve the whole graph robustly, then, deskewed with the optimised motion, adjust all keyframes and walls.
 
@@ -231,6 +235,17 @@ class Slam:
     def solution_so_far(self) -> Solution:
         """The solution as it stands, without solving or refining any further."""
         return self._solution(self.graph.live_edges())
+
+    def trajectory(self, world_T_keyframe: FloatArray) -> FloatArray:
+        """(S, 3) world_T_body of every scan placed so far, at its stamp, with keyframes (K, 3) at these poses."""
+        world_T_reference = self._scan_poses(world_T_keyframe)
+        offsets = np.array([reference_offset_s(s.laser) for s in self.scans])
+        twists = self._motions(world_T_reference)[:, :3]
+        return se2.compose(world_T_reference, self._to_stamps(world_T_reference, twists, offsets))
+
+    def thin_keyframes(self, spacing: float) -> None:
+        """Keyframes this many times as far apart as configured from here on."""
+        self._frontend.spacing = spacing
 
     def release(self) -> None:
         """Give back what only the matching needed; the solution, the scans and the statistics stay."""

@@ -18,8 +18,9 @@ class LiveState:
     the world. ``keyframes`` (K, 3): world_T_body of the keyframes, as far as they are corrected now; ``loops`` (L, 2):
     keyframe pairs that loops in use join. ``grid``: the newest map, another object when there is a newer one; None
     before the first. ``health``: `SensorHealth.as_json` of each sensor, none in a replay. ``counts``: scans, keyframes,
-    loops, scans_waiting, scans_dropped, keyframes_thinned. ``latency_ms``: from a scan's being handed over to its pose:
-    median, p99 and worst. ``notes``: findings in words, the newest last.
+    loops, scans_waiting (for the map), scans_dropped, keyframe_spacing_percent (100 as configured), back_end_restarts.
+    ``latency_ms``: from a scan's being handed over to its pose: median, p99 and worst, and cpu_p99, of the processor
+    alone. ``notes``: findings in words, the newest last.
     """
 
     stamp_ns: int

@@ -1,0 +1,127 @@
+"""The back end's process, as the engine holds it: whatever goes to it waits in the journal; when it dies, another one
+takes all of it again."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any
+
+from drivers.own_process import command, environment
+from mfslam.live.journal import Journal
+from mfslam.live.words import Job
+from mfslam.types import MfslamError
+
+LOOK_UP_S = 0.2
+MOST_RESTARTS = 5
+LEAVE_S = 3.0
+
+
+class Link:
+    """Runs the process, sends the journal to it, and hands what it says to ``hear`` (in a thread of its own).
+
+    ``trouble``: what happened to the process, in words; ``dead``: it is not started again.
+    """
+
+    def __init__(self, job: Job, hear: Callable[[Any], None]) -> None:
+        self._job, self._hear = job, hear
+        self.journal = Journal(job.folder)
+        self.restarts = 0
+        self.trouble: str | None = None
+        self.dead = False
+        self._closing = False
+        self._urgent: list[Any] = []
+        self._start()
+        self._sender = threading.Thread(target=self._send, daemon=True, name="to the back end")
+        self._sender.start()
+
+    @property
+    def pid(self) -> int:
+        return self.process.pid
+
+    def say_now(self, word: Any) -> None:
+        """Something that is not worth keeping for a new process."""
+        self._urgent.append(word)
+        self.journal.wake()
+
+    def close(self) -> None:
+        self._closing = True
+        self.journal.wake()
+        self._sender.join(LEAVE_S)
+        self._hang_up()
+        try:
+            self.process.wait(LEAVE_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self.journal.close()
+
+    # --- inside ---------------------------------------------------------------------------------------
+
+    def _start(self) -> None:
+        ours, theirs = socket.socketpair()
+        self.process = subprocess.Popen(
+            command("mfslam.live", str(theirs.fileno())),
+            env=environment() | {"OPENBLAS_NUM_THREADS": "1"},
+            pass_fds=(theirs.fileno(),),
+            start_new_session=True,
+        )
+        theirs.close()
+        self._socket, self._line = ours, Connection(os.dup(ours.fileno()))
+        self._sent = 0
+        self._line.send_bytes(pickle.dumps(self._job))
+        threading.Thread(
+            target=self._listen, args=(self._line,), daemon=True, name="from the back end"
+        ).start()
+
+    def _hang_up(self) -> None:
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # wakes whoever reads or writes, which closing would not
+        self._socket.close()
+
+    def _listen(self, line: Connection) -> None:
+        try:
+            while True:
+                self._hear(line.recv())
+        except (EOFError, OSError, pickle.UnpicklingError):
+            self.journal.wake()
+
+    def _send(self) -> None:
+        while not self._closing:
+            try:
+                if self.process.poll() is not None:
+                    raise BrokenPipeError
+                while self._urgent:
+                    self._line.send_bytes(pickle.dumps(self._urgent.pop(0)))
+                if self.journal.wait_beyond(self._sent, LOOK_UP_S) and not self._closing:
+                    data, following = self.journal.read(self._sent)
+                    self._line.send_bytes(data)
+                    self._sent = following
+            except OSError:
+                if self._closing or not self._revive():
+                    return
+
+    def _revive(self) -> bool:
+        self._hang_up()
+        code = self.process.wait()
+        how = f"was killed ({signal.Signals(-code).name})" if code < 0 else f"ended with status {code}"
+        if self.restarts >= MOST_RESTARTS:
+            self.trouble = (
+                f"the process that maps {how} for the {self.restarts + 1}th time: it is not started again"
+            )
+            self.dead = True
+            return False
+        self.restarts += 1
+        self.trouble = f"the process that maps {how}: a new one reads everything again from the journal"
+        try:
+            self._start()
+        except OSError as error:
+            raise MfslamError(f"the process that maps cannot be started: {error}") from None
+        return True
