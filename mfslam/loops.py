@@ -7,7 +7,7 @@ import bisect
 import math
 from array import array
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -16,59 +16,15 @@ from mfslam import icp
 from mfslam.config import Config
 from mfslam.frontend import Keyframe
 from mfslam.kernels import poses
+from mfslam.loop_records import Candidate, Fit, Loop, LoopStatistics, apart
 from mfslam.places import Place, PlaceMemory
 from mfslam.search import MAX_HYPOTHESES, hypotheses, search
-from mfslam.types import Edge, FloatArray, Match
+from mfslam.types import FloatArray, Match
 from mfslam.uncertainty import RelativeUncertainty, chi2_quantile
 
 GAP_M = 100.0  # driven, as it were, where nothing ties two keyframes: what is within so much is rigid
 
 AGREE_WITHIN_M = 20.0  # of driving between two loops that tell the same story
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """An old keyframe worth a search, and how far to look about the predicted pose."""
-
-    keyframe: int
-    window_m: float
-    window_rad: float
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Loop:
-    """A verified match of the place around keyframe ``j`` with the older one around ``i``."""
-
-    i: int
-    j: int
-    match: Match
-    window_m: float
-    score: float
-
-    def edge(self) -> Edge:
-        return Edge("loop", self.i, self.j, self.match.ref_T_src, self.match.information)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Fit:
-    """One way in which the query may stand in a place; ``refused``: why it is not to be believed."""
-
-    match: Match
-    score: float
-    refused: str | None
-
-
-@dataclass
-class LoopStatistics:
-    searches: int = 0
-    places_tried: int = 0
-    accepted: int = 0
-    taken_out: int = 0  # while mapping, when later loops stood against them
-    brought_back: int = 0
-    refused: dict[str, int] = field(default_factory=dict)
-
-    def refuse(self, reason: str) -> None:
-        self.refused[reason] = self.refused.get(reason, 0) + 1
 
 
 class LoopCloser:
@@ -228,7 +184,7 @@ class LoopCloser:
         # one that only sees too little is no less likely for that
         standing = [fit for fit in fits if fit.refused not in ("contradicted by free space", "poor fit")]
         best = max(standing or fits, key=lambda fit: fit.score)
-        if any(_apart(best.match.ref_T_src, fit.match.ref_T_src) for fit in standing):
+        if any(apart(best.match.ref_T_src, fit.match.ref_T_src) for fit in standing):
             self.statistics.refuse("ambiguous")
             return None
         if best.refused is not None:
@@ -240,12 +196,12 @@ class LoopCloser:
 
     def _fit(
         self, place: Place, query: Place, pose: FloatArray, score: float, wide: bool, range_sigma_m: float
-    ) -> _Fit:
+    ) -> Fit:
         match = icp.register(
             place.table, np.ascontiguousarray(query.surface[:, :2]), np.ascontiguousarray(query.surface[:, 2:]),
             pose, range_sigma_m, self.icp_config, search_radius_m=0.3,
         )  # fmt: skip
-        return _Fit(match, score, self._refusal(place, query, match, wide))
+        return Fit(match, score, self._refusal(place, query, match, wide))
 
     def _refusal(self, place: Place, query: Place, match: Match, wide: bool) -> str | None:
         """Why a match is not to be believed; None where enough is in common, what is in common fits closely,
@@ -273,7 +229,7 @@ class LoopCloser:
         here = poses.compose(world_T_body[best.i], best.match.ref_T_src)
         kept = []
         for loop in wide:
-            if not _apart(here, poses.compose(world_T_body[loop.i], loop.match.ref_T_src), 1.0):
+            if not apart(here, poses.compose(world_T_body[loop.i], loop.match.ref_T_src), 1.0):
                 kept.append(loop)
             elif loop.score > self.config.ambiguous_score * best.score:
                 self.statistics.refuse("ambiguous")
@@ -332,9 +288,3 @@ class LoopCloser:
         error = poses.between(over_old, over_new)
         path_m = travelled + apart
         return math.hypot(error[0], error[1]) < 0.15 + 0.02 * path_m and abs(error[2]) < 0.02 + 0.003 * path_m
-
-
-def _apart(a: FloatArray, b: FloatArray, limit_m: float = 0.3) -> bool:
-    """Whether two poses (3,) are two hypotheses."""
-    off = poses.between(a, b)
-    return math.hypot(off[0], off[1]) > limit_m or abs(off[2]) > 0.1

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import gtsam
 import numpy as np
 import pytest
 
 import factors
+from factors.noise import ABSOLUTE_FLOOR, RELATIVE_FLOOR
 from mfslam import se2
 from mfslam.config import GraphConfig
 from mfslam.graph import PoseGraph, least_squares
 from mfslam.graph.edges import EdgeArrays
+from mfslam.graph.gtsam_graph import gtsam_graph
 from mfslam.graph.least_squares import PoseSolver
 from mfslam.types import Edge, MfslamError
 
@@ -351,24 +354,10 @@ def test_a_loop_in_use_is_satisfied_in_the_end():
     assert len(kept) <= 1 and all(np.hypot(*x[:2]) < 0.2 for x in off)
 
 
-def in_gtsam(graph, edges, kernel_sigmas):
-    """The same factors and poses in gtsam."""
-    factor_graph = gtsam.NonlinearFactorGraph()
-    factor_graph.add(factors.prior_factor(0, graph.poses()[0], HELD))
-    for e in edges:
-        if e.kind == "heading":
-            make = factors.compass_factor if e.i == e.j else factors.gyro_factor
-            ends = (e.i,) if e.i == e.j else (e.i, e.j)
-            factor_graph.add(make(*ends, e.i_T_j[2], float(e.information[2, 2]) ** -0.5))
-            continue
-        noise = gtsam.noiseModel.Gaussian.Information(e.information)
-        if e.kind == "loop":
-            noise = factors.robust_noise(noise, "cauchy", kernel_sigmas)
-        factor_graph.add(gtsam.BetweenFactorPose2(e.i, e.j, gtsam.Pose2(*e.i_T_j), noise))
-    values = gtsam.Values()
-    for key, pose in enumerate(graph.poses()):
-        values.insert(key, gtsam.Pose2(*pose))
-    return factor_graph, values
+def as_gtsam_gets_it(edge):
+    """The edge with what `factors.noise_from_information` adds to its information."""
+    floor = 0.0 if edge.kind == "heading" else max(ABSOLUTE_FLOOR, RELATIVE_FLOOR * edge.information.trace())
+    return replace(edge, information=edge.information + floor * np.eye(3))
 
 
 def noisy_drive():
@@ -389,9 +378,9 @@ def test_steps_and_optimum_are_those_of_gtsam(monkeypatch):
     """Poses after a step of Gauss-Newton agree to 1e-7 m and rad, the least error to 1e-9 of itself."""
     monkeypatch.setattr(least_squares, "LEAST_DAMPING", 1e-12)
     graph = noisy_drive()
-    edges = EdgeArrays(graph.live_edges())
+    edges = EdgeArrays(as_gtsam_gets_it(e) for e in graph.live_edges())
     solver, everything = PoseSolver(edges, len(graph)), np.ones(len(edges))
-    factor_graph, values = in_gtsam(graph, graph.live_edges(), 3.0)
+    factor_graph, values = gtsam_graph(graph.poses(), graph.live_edges(), 3.0)
     poses = graph.poses()
     optimizer = gtsam.GaussNewtonOptimizer(factor_graph, values)
     for _ in range(3):
