@@ -30,14 +30,19 @@ def run(args: argparse.Namespace) -> int:
     config = config_for(args.log, args)
     speed = speed_of(args.speed)
     progress = Progress(args.quiet)
-    with run_folder(args.output, args.overwrite), open_log(args.log, config, topics=topics_of(args)) as log:
-        with Interrupts() as interrupts, LiveSlam(config, args.output, args.map_every) as slam:
-            told = replay(log, slam, speed, progress, interrupts, lambda _: None)
-            finished = slam.finish(
-                args.output, args.log, log.info.format, log.findings, progress.tell,
-                lambda: interrupts.count > 1,
-            )  # fmt: skip
-            leave_online(args.output, finished, told, slam.state())
+    if args.map_every <= 0.0:
+        raise MfslamError(f"--map-every {args.map_every:g}: expected more than 0 s")
+    with (
+        run_folder(args.output, args.overwrite),
+        open_log(args.log, config, topics=topics_of(args)) as log,
+        Interrupts() as interrupts,
+        LiveSlam(config, args.output, args.map_every, progress.tell) as slam,
+    ):
+        told = replay(log, slam, speed, progress, interrupts, lambda _: None)
+        finished = slam.finish(
+            args.output, args.log, log.info.format, log.findings, progress.tell, lambda: interrupts.count > 1
+        )
+        leave_online(args.output, finished, told, slam.state())
     if not args.quiet:
         say(finished, slam.state(), args.output)
     return 130 if interrupts.count else 0

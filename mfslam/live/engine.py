@@ -19,7 +19,7 @@ from mfslam.deskew import deskew, reference_offset_s
 from mfslam.kernels.warm_up import compile_once
 from mfslam.live.link import Link
 from mfslam.live.mapper import in_world
-from mfslam.live.pressure import Pressure
+from mfslam.live.pressure import RELAX_AT_S, Pressure
 from mfslam.live.state import LiveState
 from mfslam.live.tracking import Tracked, Tracker
 from mfslam.live.words import Corrected, Enough, Finish, Finished, Granted, Job, NewMap, Thin, Told, Wish
@@ -27,6 +27,7 @@ from mfslam.types import Edge, Findings, FloatArray, Message, MfslamError, Occup
 
 LATENCIES = 20_000  # of the newest scans, for the percentiles
 WISH_S = 120.0
+START_S = 60.0  # that a back end may take to start and to read what waits
 
 
 class LiveSlam:
@@ -37,10 +38,14 @@ class LiveSlam:
     ...         world_T_body = slam.feed(message)
     ...     slam.finish(Path("OUT"), Path("robot.mcap"))
 
-    ``folder``: where the map is renewed while it grows, every ``map_every_s`` at most. Raises MfslamError in one line.
+    ``folder``: where the map is renewed while it grows, every ``map_every_s`` at most. ``tell``: told where something
+    takes its time, such as compiling on the first run. Raises MfslamError in one line.
     """
 
-    def __init__(self, config: Config, folder: Path | None = None, map_every_s: float = 15.0) -> None:
+    def __init__(
+        self, config: Config, folder: Path | None = None, map_every_s: float = 15.0,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:  # fmt: skip
         self.config = config
         self.findings = Findings()
         self.pressure = Pressure(self.findings)
@@ -56,7 +61,7 @@ class LiveSlam:
         self._packer = Packer()
         self._newest: Tracked | None = None
         self._scans = 0
-        self._first_ns = self._newest_ns = 0
+        self._starts, self._started_s, self._came_up = -1, 0.0, False  # of the back end
         self._sent: deque[tuple[int, int, FloatArray | None]] = (
             deque()
         )  # number, stamp, pose: not yet confirmed
@@ -67,8 +72,8 @@ class LiveSlam:
         self._granted: dict[int, Granted] = {}
         self._wishes = 0
         self._finished: Finished | None = None
-        self._tell: Callable[[str], None] = lambda _: None
-        compile_once(lambda _: None)
+        self._tell = tell
+        compile_once(tell)
         self._link = Link(Job(config, folder, map_every_s), self._hear)
 
     def __enter__(self) -> Self:
@@ -96,17 +101,17 @@ class LiveSlam:
             return None
         began_s, cpu_began_s = time.perf_counter(), time.thread_time()
         number, self._scans = self._scans, self._scans + 1
-        self._newest_ns = message.stamp_ns
         pose = self._place(message) if place else None
         took_s = time.perf_counter() - began_s
         if place:
             self.latency_s.append(took_s)
             self.cpu_s.append(time.thread_time() - cpu_began_s)
             self.worst_latency_s = max(self.worst_latency_s, took_s)
+        self._apply_correction()
         behind_s = self.behind_s
-        if not self.may_thin or self.pressure.goes_to_map(number, behind_s):
+        if not self.may_thin or not self._came_up or self.pressure.goes_to_map(number, behind_s):
             self._link.journal.append((number, self._packer.pack(message)))
-            self._sent.append((number, message.stamp_ns, None if pose is None else self.local_T_body))
+            self._sent.append((number, time.monotonic(), None if pose is None else self.local_T_body))
         if self.may_thin:
             self._relieve(behind_s)
         return pose
@@ -128,17 +133,27 @@ class LiveSlam:
             number, _, local_T_body = self._sent.popleft()
             if number == corrected.number and local_T_body is not None:
                 self._world_T_local = se2.compose(corrected.world_T_body, se2.inverse(local_T_body))
+                self.world_T_body = se2.compose(self._world_T_local, self.local_T_body)
 
     def _relieve(self, behind_s: float) -> None:
-        """Keyframes give way where the map falls behind."""
+        """Keyframes give way where the map falls behind; not while a back end is only starting."""
+        if self._starts != self._link.restarts:
+            self._starts, self._started_s, self._came_up = self._link.restarts, time.monotonic(), False
+        self._came_up |= behind_s < RELAX_AT_S or time.monotonic() - self._started_s > START_S
+        if not self._came_up:
+            return
         if self.pressure.watch(behind_s, time.monotonic()):
             self._tracker.frontend.spacing = self.pressure.spacing
             self._link.journal.append(Thin(self.pressure.spacing))
 
     @property
+    def back_end_pid(self) -> int:
+        return self._link.pid
+
+    @property
     def behind_s(self) -> float:
-        """By how much the back end is behind, in seconds of stamps."""
-        return max(0.0, (self._newest_ns - self._sent[0][1]) * 1e-9) if self._sent else 0.0
+        """For how long a scan has waited for the back end, the newest not counted: it waits for its wheels."""
+        return time.monotonic() - self._sent[0][1] if len(self._sent) > 1 else 0.0
 
     def wait(self, behind: int, timeout_s: float = 60.0) -> None:
         """Let the back end come up to so many scans, for a caller that could feed faster than it maps."""
