@@ -62,9 +62,7 @@ class LiveSlam:
         self._newest: Tracked | None = None
         self._scans = 0
         self._starts, self._started_s, self._came_up = -1, 0.0, False  # of the back end
-        self._sent: deque[tuple[int, int, FloatArray | None]] = (
-            deque()
-        )  # number, stamp, pose: not yet confirmed
+        self._sent: deque[tuple[int, float, FloatArray | None]]
         self._world_T_local = np.zeros(3)
         self._heard = Condition()
         self._corrected: Corrected | None = None

@@ -173,7 +173,7 @@ def test_a_full_disk_is_told_in_one_line(tmp_path, monkeypatch):
             raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(journal, "_file", Full())
-    with pytest.raises(MfslamError, match=r"journal .* no space left .*free some disk"):
+    with pytest.raises(MfslamError, match=r"journal .*no space left.*free some disk"):
         journal.append(1)
 
 
