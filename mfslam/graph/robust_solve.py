@@ -9,7 +9,7 @@ from mfslam.graph.least_squares import PoseSolver
 from mfslam.types import BoolArray, FloatArray
 
 PACE = 1.4  # of mu, the usual schedule: faster ones believe false loops where true ones are few
-MAX_ROUNDS, STEPS = 100, 5
+MAX_ROUNDS, STEPS = 100, 1  # the weights move slowly: one step follows them
 SAME_COST, BINARY = 1e-5, 1e-4
 LEAST_MU = 1e-6
 
@@ -36,7 +36,7 @@ def graduated_solve(
         if abs(cost_before - cost) <= SAME_COST * max(cost_before, 1e-7) or undecided.max() < BINARY:
             break
         mu *= PACE
-    return solved
+    return solver.solve(solved, weights, nobody, 1.0)
 
 
 def _truncated(chi2: FloatArray, mu: float, limit: float) -> FloatArray:
