@@ -17,6 +17,7 @@ from mfslam.commands.progress import Progress
 from mfslam.commands.settings import config_for, topics_of
 from mfslam.live.engine import LiveSlam
 from mfslam.live.intake import AHEAD_SCANS, Intake, paced
+from mfslam.live.mapper import peak_mb
 from mfslam.live.state import LiveState
 from mfslam.live.words import Finished
 from mfslam.output import json_text, run_folder, write_atomically
@@ -101,7 +102,19 @@ def leave_online(
     poses = np.array([pose for _, pose in told]).reshape(-1, 3)
     write_atomically(folder / "live.tum", trajectory_text(stamps, poses).encode())
     write_atomically(folder / "online.tum", trajectory_text(finished.stamps_ns, finished.online).encode())
-    figures = {"counts": state.counts, "latency_ms": state.latency_ms, "notes": state.notes}
+    first_mb, mapped_mb, most_mb = finished.memory_mb
+    travelled_m = max(float(finished.summary["distances"]["travelled_m"]), 1.0)
+    memory = {
+        "engine_mb": peak_mb(),
+        "back_end_mb": most_mb,
+        "back_end_kb_per_m": 1024.0 * (mapped_mb - first_mb) / travelled_m,
+    }
+    figures = {
+        "counts": state.counts,
+        "latency_ms": state.latency_ms,
+        "memory": memory,
+        "notes": state.notes,
+    }
     write_atomically(folder / "live.json", json_text(figures).encode())
 
 

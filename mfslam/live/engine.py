@@ -62,7 +62,8 @@ class LiveSlam:
         self._newest: Tracked | None = None
         self._scans = 0
         self._starts, self._started_s, self._came_up = -1, 0.0, False  # of the back end
-        self._sent: deque[tuple[int, float, FloatArray | None]]
+        # number, when, pose: of scans that the back end has not confirmed yet
+        self._sent: deque[tuple[int, float, FloatArray | None]] = deque()
         self._world_T_local = np.zeros(3)
         self._heard = Condition()
         self._corrected: Corrected | None = None

@@ -4,6 +4,7 @@ that refine and draw."""
 from __future__ import annotations
 
 import os
+import resource
 import sys
 import time
 from collections.abc import Callable
@@ -58,6 +59,7 @@ class Mapper:
         self._kept = 0
         self._copies: list[tuple[Connection, int, int, FloatArray, Wish | None, float]] = []
         self._blank: dict[int, Any] = {}
+        self._start_mb = 0.0
 
     # --- messages -----------------------------------------------------------------------------------
 
@@ -65,6 +67,7 @@ class Mapper:
         """The next message; ``number`` of a scan, -1 of anything else."""
         keyframes = len(self.slam.keyframes)
         if isinstance(message, Scan):
+            self._start_mb = self._start_mb or peak_mb()
             self._numbers.append(number)
         self.slam.feed(message)
         if isinstance(message, Scan) and len(self.slam.steps):
@@ -235,7 +238,7 @@ class Mapper:
         for _, child, *_ in self._copies:
             os.kill(child, 9)
             os.waitpid(child, 0)
-        slam, interrupted = self.slam, False
+        slam, interrupted, mapped_mb = self.slam, False, peak_mb()
         slam.place_last()
         if not slam.scans:
             return Finished(error="no scan came: nothing to map")
@@ -258,6 +261,7 @@ class Mapper:
             solution.stamps_ns,
             online,
             solution.world_T_body,
+            (self._start_mb, mapped_mb, peak_mb()),
         )
 
     def _outcome(self, solution: Solution, word: Finish, interrupted: bool = False) -> Any:
@@ -266,6 +270,11 @@ class Mapper:
             findings.add(code, text, where, count)
         info = LogInfo(word.source, word.format)
         return outcome_of(self.slam, solution, self.config, info, findings, interrupted, 0.0)
+
+
+def peak_mb() -> float:
+    """What this process held at most until now."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 def in_world(covariance: FloatArray, pose: FloatArray) -> FloatArray:
