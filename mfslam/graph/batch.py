@@ -72,6 +72,9 @@ class _Noises:
     def __init__(self, problem: Problem, kernel: tuple[str, float] | None) -> None:
         distinct, self._group = np.unique(problem.information.reshape(-1, 9), axis=0, return_inverse=True)
         self._information = distinct.reshape(-1, 3, 3)
+        eigenvalues = np.linalg.eigvalsh(self._information)
+        # gtsam reads these rightly; (nearly) singular ones are made a little wider
+        self._regular = (eigenvalues[:, 0] > 1e-9 * eigenvalues[:, 2]).tolist()
         self._groups = self._group.reshape(-1).tolist()
         self._made: dict[tuple[int, float, bool], gtsam.noiseModel.Base] = {}
         self._kernel = kernel
@@ -82,19 +85,16 @@ class _Noises:
         key = (self._groups[n], weight, robust)
         model = self._made.get(key)
         if model is None:
-            model = _noise(weight * self._information[key[0]])
+            information = weight * self._information[key[0]]
+            model = (
+                gtsam.noiseModel.Gaussian.Information(information)
+                if self._regular[key[0]]
+                else factors.noise_from_information(information)
+            )
             if robust and self._kernel is not None:
                 model = factors.robust_noise(model, *self._kernel)
             self._made[key] = model
         return model
-
-
-def _noise(information: FloatArray) -> gtsam.noiseModel.Gaussian:
-    """As it stands where gtsam reads it rightly; a (nearly) singular one a little wider."""
-    eigenvalues = np.linalg.eigvalsh(information)
-    if eigenvalues[0] > 1e-9 * eigenvalues[2]:
-        return gtsam.noiseModel.Gaussian.Information(information)
-    return factors.noise_from_information(information)
 
 
 def values_of(world_T_pose: FloatArray) -> gtsam.Values:

@@ -20,7 +20,7 @@ RELINEARIZE_THRESHOLD = 0.05  # m or rad
 class IncrementalRun:
     """``online`` (N, 3): each pose as it was believed when it came; ``world_T_pose``: as all were at the end.
 
-    ``update_s`` (N,): CPU seconds of each update, its estimate included.
+    ``update_s`` (N,): seconds that each update took, its estimate included, by the clock: what a robot waits.
     """
 
     world_T_pose: FloatArray
@@ -53,7 +53,7 @@ def solve_incrementally(problem: Problem, relinearize_skip: int = 1) -> Incremen
         if n in holds:
             new.add(holds[n])
         values.insert(n, gtsam.Pose2(*_first_guess(problem, n, edges, online)))
-        began = time.process_time()
+        began = time.perf_counter()
         try:
             isam.update(new, values)
             pose = isam.calculateEstimatePose2(n)
@@ -61,7 +61,7 @@ def solve_incrementally(problem: Problem, relinearize_skip: int = 1) -> Incremen
             raise MfslamError(
                 f"iSAM2 cannot take pose number {n} (from 0): {str(error).strip().splitlines()[0]}"
             ) from None
-        update_s[n] = time.process_time() - began
+        update_s[n] = time.perf_counter() - began
         online[n] = pose.x(), pose.y(), pose.theta()
     for _ in range(3):  # what relinearisation still owes
         isam.update()
