@@ -9,6 +9,7 @@ from mfslam.settings import preset_names
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text("utf-8")
+PYTHON = re.findall(r"```python\n(.*?)```", README, re.S)
 
 
 def test_the_python_of_the_readme_runs(tmp_path, monkeypatch, capsys):
@@ -16,11 +17,22 @@ def test_the_python_of_the_readme_runs(tmp_path, monkeypatch, capsys):
     simulation = demo_simulation()
     half = simulation.messages[: len(simulation.messages) // 4]
     write_log(half, Path("robot.mcap"))
-    (code,) = re.findall(r"```python\n(.*?)```", README, re.S)
+    code, _ = PYTHON
     exec(compile(code, "README.md", "exec"), {})
     stamp, *pose = capsys.readouterr().out.replace("[", " ").replace("]", " ").split()
     assert int(stamp) in simulation.truth_stamps_ns
     assert len(pose) == 3
+
+
+def test_the_live_python_of_the_readme_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    _, code = PYTHON
+    assert len(code.strip().splitlines()) <= 13
+    exec(compile(code, "README.md", "exec"), {})
+    numbers = re.findall(r"-?\d+\.?\d*(?:e[-+]?\d+)?", capsys.readouterr().out)
+    rows, columns, edges = map(int, numbers[-3:])
+    assert len(numbers) == 3 + 9 + 3
+    assert rows > 50 and columns > 50 and edges >= 0
 
 
 def test_every_link_leads_somewhere():
