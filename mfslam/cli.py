@@ -77,18 +77,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_simulate(commands)
 
     command = commands.add_parser("record", help="record live sensors, for `mfslam map` and ROS 2 tools")
-    command.add_argument(
-        "--lidar",
-        metavar="SENSOR",
-        help="urg:/dev/ttyACM0, urg:HOST:PORT, lds:MODEL:/dev/ttyUSB0 or sim:WORLD",
-    )
-    command.add_argument(
-        "--wheels",
-        metavar="BOARD",
-        help="board:/dev/ttyUSB0, arduino:/dev/ttyUSB0, or sim beside a simulated lidar",
-    )
+    _add_sensors(command)
     command.add_argument("-o", "--output", metavar="OUT.mcap", type=Path, required=True, help="a new file")
-    command.add_argument("--duration", metavar="S", type=float, help="stop after so long, s (on Ctrl-C)")
     _add_settings(command)
     command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")
     command.set_defaults(run=_run_record)
@@ -107,6 +97,19 @@ def build_parser() -> argparse.ArgumentParser:
     _add_settings(command)
     command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")
     command.set_defaults(run=_run_replay)
+
+    command = commands.add_parser(
+        "live", help="map live sensors while the robot drives, and record them; in a browser with --view"
+    )
+    _add_sensors(command)
+    command.add_argument(
+        "-o", "--output", metavar="OUT", type=Path, required=True, help="folder for map and recording"
+    )
+    command.add_argument("--overwrite", action="store_true", help="replace what OUT holds, but no recording")
+    _add_view(command)
+    _add_settings(command)
+    _add_reporting(command)
+    command.set_defaults(run=_run_live)
 
     command = commands.add_parser("view", help="replay a finished run in a browser")
     command.add_argument("run_folder", metavar="OUT", type=Path, help="folder of `mfslam map`")
@@ -325,6 +328,32 @@ def _add_map_every(command: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def _add_sensors(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--lidar",
+        metavar="SENSOR",
+        help="urg:/dev/ttyACM0, urg:HOST:PORT, lds:MODEL:/dev/ttyUSB0 or sim:WORLD",
+    )
+    command.add_argument(
+        "--wheels",
+        metavar="BOARD",
+        help="board:/dev/ttyUSB0, arduino:/dev/ttyUSB0, or sim beside a simulated lidar",
+    )
+    command.add_argument("--duration", metavar="S", type=float, help="stop after so long, s (on Ctrl-C)")
+
+
+def _add_view(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--view",
+        metavar="PORT",
+        nargs="?",
+        type=int,
+        const=8765,
+        help="show the map in a browser (port 8765)",
+    )
+    _add_view_bind(command)
+
+
 def _add_view_bind(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--view-bind",
@@ -382,6 +411,10 @@ def _run_record(args: argparse.Namespace) -> int:
 
 def _run_replay(args: argparse.Namespace) -> int:
     from mfslam.commands.replay import run
+
+
+def _run_live(args: argparse.Namespace) -> int:
+    from mfslam.commands.live import run
 
     return run(args)
 
