@@ -106,6 +106,7 @@ def build_parser() -> argparse.ArgumentParser:
         "-o", "--output", metavar="OUT", type=Path, required=True, help="folder for map and recording"
     )
     command.add_argument("--overwrite", action="store_true", help="replace what OUT holds, but no recording")
+    _add_map_every(command)
     _add_view(command)
     _add_settings(command)
     _add_reporting(command)
@@ -411,6 +412,8 @@ def _run_record(args: argparse.Namespace) -> int:
 
 def _run_replay(args: argparse.Namespace) -> int:
     from mfslam.commands.replay import run
+
+    return run(args)
 
 
 def _run_live(args: argparse.Namespace) -> int:

@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         print(
             f"error   {truth['ate_rms_m'] * 1000:.1f} mm and {truth['ate_rms_deg']:.2f} deg (RMS), by exact truth"
         )
-        say(outcome.summary, outcome.result.findings.lines(), folder)
+        say(outcome, folder)
         print(f"log     {path}   (as from a robot: mfslam map {path} -o OUT)")
     return 130 if outcome.interrupted else 0
 

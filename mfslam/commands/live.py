@@ -13,18 +13,19 @@ from pathlib import Path
 
 from drivers.acquisition.feed import AcquisitionFeed
 from drivers.acquisition.sources import Sources
-from mfslam.commands.map_log import say
+from mfslam.commands.replay import leave_online, say
 from mfslam.commands.sensors import config_of, map_command, sources_of
 from mfslam.commands.status_line import Ends, StatusLine
 from mfslam.commands.view import place_of
 from mfslam.commands.watching import Watching, open_viewer
 from mfslam.config import Config
 from mfslam.live.engine import LiveSlam
-from mfslam.live.pressure import POSE_LATE_S
+from mfslam.live.intake import Intake, from_sensors
+from mfslam.live.state import LiveState
 from mfslam.live.words import Finished
 from mfslam.output import check_writable, json_text, run_folder, write_atomically
 from mfslam.output.growing_map import clear_growing_maps
-from mfslam.types import Findings, MfslamError, Scan
+from mfslam.types import Findings, FloatArray, MfslamError
 from mfslam.viewer.place import Place
 
 
@@ -37,12 +38,12 @@ def run(args: argparse.Namespace) -> int:
     with run_folder(args.output, args.overwrite):
         if args.json is not None:
             check_writable(args.json)
-        drive = Drive(sources, config, args.output, free_name(args.output), args.duration, place, args.quiet)
-        finished = drive.run()
+        drive = Drive(sources, config, args, free_name(args.output), place)
+        finished, state = drive.run()
     if args.json is not None:
         write_atomically(args.json, json_text(finished.summary).encode())
     if not args.quiet:
-        say(finished.summary, finished.notes, args.output)
+        say(finished, state, args.output)
         print(f"recording  {drive.recording}   (ROS 2: Foxglove, ros2 bag)")
         again = args.output.with_name(f"{args.output.resolve().name}-offline")
         print(f"map again  {map_command(args, sources, drive.recording, again)}")
@@ -60,41 +61,32 @@ def free_name(folder: Path) -> Path:
     return path
 
 
-class Lateness:
-    """By how much scans are later than the promptest ones of late: on the clock that nobody sets."""
-
-    RELAX = 1e-3  # per scan: clocks of sensors drift
-
-    def __init__(self) -> None:
-        self._least_s = float("inf")
-
-    def of(self, scan: Scan) -> float:
-        behind_s = time.monotonic() - scan.stamp_ns * 1e-9
-        self._least_s = min(behind_s, self._least_s + self.RELAX)
-        return behind_s - self._least_s
-
-
 @dataclass
 class Drive:
     """One run of the command. ``error``: what ended or spoilt it, though there is a map."""
 
     sources: Sources
     config: Config
-    folder: Path
+    args: argparse.Namespace
     recording: Path
-    duration_s: float | None
     place: Place | None
-    quiet: bool
     error: str | None = None
     findings: Findings = field(default_factory=Findings)
+    told: list[tuple[int, FloatArray]] = field(
+        default_factory=list
+    )  # stamp and pose of each scan, as told at once
 
-    def run(self) -> Finished:
+    @property
+    def folder(self) -> Path:
+        return Path(self.args.output)
+
+    def run(self) -> tuple[Finished, LiveState]:
         """Map until Ctrl-C, SIGTERM, or the end of the duration; then solve and write the folder."""
-        status = StatusLine(self.quiet)
+        status = StatusLine(self.args.quiet)
         with ExitStack() as stack:
             viewer = open_viewer(self.place, self.folder, status, stack)
             status.tell("starting engine and sensors ...")
-            slam = stack.enter_context(LiveSlam(self.config, self.folder))
+            slam = stack.enter_context(LiveSlam(self.config, self.folder, self.args.map_every))
             ends = stack.enter_context(Ends(lambda: self._leave_at_once(slam)))
             watching = Watching(slam, status, self.folder, viewer)
             try:
@@ -109,35 +101,34 @@ class Drive:
                 tell=lambda stage: status.tell(f"{stage} ..."),
             )
             clear_growing_maps(self.folder)
-            return finished
+            state = slam.state()
+            watching.show_last(state)
+            leave_online(self.folder, finished, self.told, state)
+            return finished, state
 
     def _follow(self, slam: LiveSlam, watching: Watching, ends: Ends) -> None:
         """Every message to the engine, until the end. Raises MfslamError for sensors that are not there."""
-        scans, begun_s, late = 0, time.monotonic(), Lateness()
+        intake, begun_s = Intake(slam), time.monotonic()
         feed = AcquisitionFeed(self.sources, self.config, self.recording)
+        duration_s = float("inf") if self.args.duration is None else self.args.duration
         try:
             with feed:
-                while not feed.over:
-                    message = feed.poll(0.05)
-                    if isinstance(message, Scan):
-                        begun_s = begun_s if scans else time.monotonic()
-                        scans += 1
-                        late_s = late.of(message)
-                        if late_s > POSE_LATE_S:
-                            slam.pressure.left_out(late_s)
-                        slam.feed(message, place=late_s <= POSE_LATE_S)
-                    elif message is not None:
-                        slam.feed(message)
+                while not feed.over or len(intake):
+                    if not feed.over:
+                        from_sensors(feed, intake)
+                    pose = intake.take()
+                    if pose is not None:
+                        begun_s = begun_s if self.told else time.monotonic()
+                        self.told.append((slam.newest_ns, pose))
                     watching.look(feed.health.sensors, lambda: self._notes(feed))
-                    time_is_up = self.duration_s is not None and time.monotonic() - begun_s >= self.duration_s
-                    if ends.asked or (scans and time_is_up):
+                    if ends.asked or (self.told and time.monotonic() - begun_s >= duration_s):
                         feed.stop()
         except MfslamError as trouble:  # a sensor was never there, the acquisition died, or the disk is full
             self.error = str(trouble)
             watching.status.tell(f"note: {trouble}")
         finally:
             self.findings.merge(feed.findings)
-        if not scans:
+        if not self.told:
             self.recording.unlink(missing_ok=True)
             raise MfslamError(self.error or "no scan came: nothing was mapped")
         if feed.health.recording_error is not None:

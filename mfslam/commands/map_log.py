@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
 
 from drivers.base import Log
 from drivers.logs import open_log
@@ -31,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
             outcome = map_log(log, config, progress, interrupts, args.start_cpu_s + compile_s)
             leave(outcome, config, args.output, args.json)
     if not args.quiet:
-        say(outcome.summary, outcome.result.findings.lines(), args.output)
+        say(outcome, args.output)
     return 130 if outcome.interrupted else 0
 
 
@@ -92,15 +91,16 @@ def finish(slam: Slam, progress: Progress, interrupts: Interrupts, findings: Fin
         return slam.solution_so_far()
 
 
-def say(summary: dict[str, Any], notes: list[str], folder: Path) -> None:
+def say(outcome: Outcome, folder: Path) -> None:
     """What came out, and where it lies."""
+    summary = outcome.summary
     counts, distances = summary["counts"], summary["distances"]
     loops = summary["loops"]["in_use"]
     print(
         f"{counts['scans']} scans, {distances['travelled_m']:.0f} m, {counts['keyframes']} keyframes, {loops} loops, "
         f"{summary['real_time_factor']:.0f} x real time"
     )
-    for line in notes:
+    for line in outcome.result.findings.lines():
         print(f"note: {line}", file=sys.stderr)
     print(f"map     {folder / 'map.png'}   (map.yaml for Nav2 and map_server)")
     print(f"report  {folder / 'report.html'}")

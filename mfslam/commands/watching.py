@@ -34,7 +34,7 @@ class Watching:
     _asked: dict[int, int] = field(default_factory=dict)  # wishes of browsers, by the engine's number
     _told: set[str] = field(default_factory=set)
 
-    def look(self, health: list[dict[str, Any]], more_notes: Callable[[], list[str]] = lambda: []) -> None:
+    def look(self, health: list[dict[str, Any]], more_notes: Callable[[], list[str]] = list) -> None:
         """Show what is new, if it is time. ``health``: of the sensors."""
         now_s = time.monotonic()
         if now_s - self._shown_s < SHOW_EVERY_S:
