@@ -102,7 +102,9 @@ class Pump:
             health = sensor.health
             for kind, count in sorted(health.errors.items()):
                 if count:
-                    self.findings.add(f"sensor-{kind}", f"{health.name}: {kind}", count=count)
+                    code = f"sensor-{kind}"
+                    code = f"{code}-{health.name}" if code in self.findings else code
+                    self.findings.add(code, f"{health.name}: {kind}", count=count)
             if health.advice:
                 self.findings.add(f"advice-{health.name}", f"{health.name}: {health.advice}")
             if health.reconnects:

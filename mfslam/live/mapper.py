@@ -22,8 +22,7 @@ from mfslam.config import Config
 from mfslam.live.words import Corrected, Finish, Finished, Granted, Wish
 from mfslam.mapping import render_map
 from mfslam.outcome import leave, outcome_of
-from mfslam.output import maps
-from mfslam.output.staging import Staging
+from mfslam.output.growing_map import write_growing_map
 from mfslam.slam import Slam, Solution
 from mfslam.types import Findings, FloatArray, Message, MfslamError, OccupancyGrid, Scan
 
@@ -219,13 +218,7 @@ class Mapper:
             self.slam.scans, solution.world_T_reference, solution.twists, self.config, Findings()
         )
         if self.folder is not None:
-            image = maps.grid_image(grid)
-            with Staging(self.folder) as staging:  # whole files, renamed into place
-                staging.write_text("map.yaml", maps.yaml_text(grid))
-                with staging.open("map.pgm") as file:
-                    file.write(maps.pgm_bytes(image))
-                with staging.open("map.png") as file:
-                    file.write(maps.png_bytes(image))
+            write_growing_map(self.folder, grid)
         return grid
 
     # --- the end ------------------------------------------------------------------------------------

@@ -74,11 +74,12 @@ def write_run(
     summary = summarise(result) if summary is None else summary
     names = []
     with Staging(folder) as staging:
-        # one after the other: pictures of large grids and long texts are never in memory together
+        # one after the other: pictures of large grids and long texts are never in memory together; the image
+        # before map.yaml, which may name another one until then (`growing_map`)
+        _write_pictures(result.grid, staging)
         for name, text in _texts(result, config, summary):
             staging.write_text(name, text)
             names.append(name)
-        _write_pictures(result.grid, staging)
         with staging.open("points.ply") as file:
             ply.write_ply(result.points, file)
     return [folder / name for name in (*names, "map.pgm", "map.png", "points.ply")]

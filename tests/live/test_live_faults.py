@@ -60,14 +60,14 @@ class Live:
     def children(self) -> dict[str, int]:
         """Process ids by role."""
         out = {}
-        for pid in os.listdir("/proc"):
+        for process in Path("/proc").glob("[0-9]*"):
             try:
-                stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-                words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
-            except (OSError, ValueError):
+                stat = (process / "stat").read_text().rpartition(")")[2].split()
+                words = (process / "cmdline").read_text().split("\0")
+            except OSError:
                 continue
             if stat[0] != "Z" and int(stat[1]) == self.process.pid:
-                out |= {role: int(pid) for role, module in ROLES.items() if module in words}
+                out |= {role: int(process.name) for role, module in ROLES.items() if module in words}
         return out
 
     def kill(self, role: str) -> None:
@@ -119,12 +119,13 @@ def test_cables_bits_lasers_wheels_and_processes_fail_and_it_goes_on(tmp_path: P
     wheels silent; the viewer and the back end killed, the engine stalled for 2 s; then Ctrl-C."""
     sent_path, folder = tmp_path / "sent.jsonl", tmp_path / "OUT"
     laser = LineFaults(2e-5, (
-        LineFault(3.0, "garbage", 500), LineFault(3.6, "lost", 300), LineFault(4.2, "status", 21),
-        LineFault(6.0, "laser-off"), LineFault(8.5, "unplug", 1.0),
+        LineFault(15.0, "garbage", 500), LineFault(15.6, "lost", 300), LineFault(16.2, "status", 21),
+        LineFault(17.2, "laser-off"), LineFault(19.5, "unplug", 1.0),
     ))  # fmt: skip
-    board = LineFaults(1e-4, (LineFault(4.0, "stall", 2.5),))
+    board = LineFaults(1e-4, (LineFault(16.0, "stall", 2.5),))
     cast = Cast("demo", board="lines", laser_faults=laser, board_faults=board, record=str(sent_path))
     with SimulatedSensors(cast) as sim:
+        began_s = time.monotonic()  # the times of the faults count from here
         settings = [word for text in WHEELS for word in ("--set", f"wheels.{text}")]
         sensors = ["--lidar", f"urg:{sim.lidar}", "--wheels", f"board:{sim.board}"]
         with live(folder, *sensors, *settings, "--view", "0") as run:
@@ -136,7 +137,7 @@ def test_cables_bits_lasers_wheels_and_processes_fail_and_it_goes_on(tmp_path: P
             run.kill("back end")
             run.until(lambda: "was started again; mapping went on" in run.said)
             run.until_mapped()
-            run.until(lambda: span_s(sent_path) > 12.5)
+            run.until(lambda: time.monotonic() - began_s > 23.0)
             pids = list(run.children().values())
             run.process.send_signal(signal.SIGINT)
             assert run.ends() == 0, run.said
@@ -156,11 +157,6 @@ def blocks(sent_path: Path) -> list[dict[str, Any]]:
     """The laser's scans as they went over the line, whole or not."""
     lines = sent_path.read_text(encoding="utf-8").split("\n")[:-1]  # the last one may be half written
     return [block for block in map(json.loads, lines) if block["line"] == "lidar" and "values" in block]
-
-
-def span_s(sent_path: Path) -> float:
-    begins = [block["step_0_s"] for block in blocks(sent_path)]
-    return begins[-1] - begins[0] if begins else 0.0
 
 
 def check_recording(path: Path, sent_path: Path) -> None:
@@ -235,5 +231,7 @@ def test_sensors_that_are_not_there_are_one_line_and_no_folder(tmp_path: Path) -
     folder = tmp_path / "OUT"
     with live(folder, "--lidar", "urg:/dev/nowhere", "-q") as run:
         assert run.ends() == 1
-    assert run.said.splitlines()[-1] == "mfslam: urg:/dev/nowhere: cannot be opened: no such file or directory"
+    assert (
+        run.said.splitlines()[-1] == "mfslam: urg:/dev/nowhere: cannot be opened: no such file or directory"
+    )
     assert "Traceback" not in run.said and not folder.exists()
