@@ -93,6 +93,7 @@ def build_parser() -> argparse.ArgumentParser:
         "--speed", metavar="X", default="1", help="times the pace of the log, or max: as fast as it maps (1)"
     )
     _add_map_every(command)
+    _add_view(command)
     _add_topics(command)
     _add_settings(command)
     command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")

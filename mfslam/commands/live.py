@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import signal
 import sys
 import time
@@ -33,6 +34,8 @@ def run(args: argparse.Namespace) -> int:
     sources = sources_of(args)
     if sources.lidar is None:
         raise MfslamError("expected --lidar: a map needs a laser (`mfslam record` records wheels alone)")
+    if args.map_every <= 0.0:
+        raise MfslamError(f"--map-every {args.map_every:g}: expected more than 0 s")
     config = config_of(args, sources.map_settings())
     place = None if args.view is None else place_of(args)
     with run_folder(args.output, args.overwrite):
@@ -46,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
         say(finished, state, args.output)
         print(f"recording  {drive.recording}   (ROS 2: Foxglove, ros2 bag)")
         again = args.output.with_name(f"{args.output.resolve().name}-offline")
+        print(f"look again mfslam view {shlex.quote(str(args.output))}")
         print(f"map again  {map_command(args, sources, drive.recording, again)}")
     if drive.error is not None:
         raise MfslamError(drive.error)
@@ -84,9 +88,9 @@ class Drive:
         """Map until Ctrl-C, SIGTERM, or the end of the duration; then solve and write the folder."""
         status = StatusLine(self.args.quiet)
         with ExitStack() as stack:
-            viewer = open_viewer(self.place, self.folder, status, stack)
+            viewer = open_viewer(self.place, self.folder, status.tell, stack)
             status.tell("starting engine and sensors ...")
-            slam = stack.enter_context(LiveSlam(self.config, self.folder, self.args.map_every))
+            slam = stack.enter_context(LiveSlam(self.config, self.folder, self.args.map_every, status.tell))
             ends = stack.enter_context(Ends(lambda: self._leave_at_once(slam)))
             watching = Watching(slam, status, self.folder, viewer)
             try:

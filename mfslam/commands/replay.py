@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +15,18 @@ from drivers.logs import open_log
 from mfslam.commands.interrupts import Interrupts
 from mfslam.commands.progress import Progress
 from mfslam.commands.settings import config_for, topics_of
+from mfslam.commands.status_line import StatusLine
+from mfslam.commands.view import place_of
+from mfslam.commands.watching import Watching, open_viewer
 from mfslam.live.engine import LiveSlam
 from mfslam.live.intake import AHEAD_SCANS, Intake, paced
 from mfslam.live.mapper import peak_mb
 from mfslam.live.state import LiveState
 from mfslam.live.words import Finished
 from mfslam.output import json_text, run_folder, write_atomically
+from mfslam.output.growing_map import clear_growing_maps
 from mfslam.output.tum import trajectory_text
 from mfslam.types import MfslamError, Scan
-
-SHOW_EVERY_S = 0.1
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,16 +35,21 @@ def run(args: argparse.Namespace) -> int:
     progress = Progress(args.quiet)
     if args.map_every <= 0.0:
         raise MfslamError(f"--map-every {args.map_every:g}: expected more than 0 s")
+    place = None if args.view is None else place_of(args)
     with (
         run_folder(args.output, args.overwrite),
         open_log(args.log, config, topics=topics_of(args)) as log,
         Interrupts() as interrupts,
-        LiveSlam(config, args.output, args.map_every, progress.tell) as slam,
+        ExitStack() as stack,
     ):
-        told = replay(log, slam, speed, progress, interrupts, lambda _: None)
+        viewer = open_viewer(place, args.output, progress.tell, stack)
+        slam = stack.enter_context(LiveSlam(config, args.output, args.map_every, progress.tell))
+        watching = Watching(slam, StatusLine(quiet=True), args.output, viewer)
+        told = replay(log, slam, speed, progress, interrupts, lambda: watching.look([]))
         finished = slam.finish(
             args.output, args.log, log.info.format, log.findings, progress.tell, lambda: interrupts.count > 1
         )
+        clear_growing_maps(args.output)
         leave_online(args.output, finished, told, slam.state())
     if not args.quiet:
         say(finished, slam.state(), args.output)
@@ -64,12 +71,12 @@ def speed_of(text: str) -> float | None:
 
 def replay(
     log: Log, slam: LiveSlam, speed: float | None, progress: Progress, interrupts: Interrupts,
-    show: Callable[[LiveState], None],
+    show: Callable[[], None],
 ) -> list[tuple[int, np.ndarray]]:  # fmt: skip
     """Feed a log; returns stamp and pose of every scan as it was told at its time."""
     told: list[tuple[int, np.ndarray]] = []
     slam.may_thin = speed is not None  # at full speed it is the log that waits
-    intake, shown_s, first_ns = Intake(slam), 0.0, None
+    intake, first_ns = Intake(slam), None
     progress.start(f"replaying {log.info.path.name}")
     for message in paced(log, speed):
         intake.put(message)
@@ -81,14 +88,12 @@ def replay(
                 told.append((message.stamp_ns, pose))
             if speed is None:
                 slam.wait(AHEAD_SCANS)
-        if time.monotonic() - shown_s > SHOW_EVERY_S:
-            shown_s = time.monotonic()
-            show(slam.state())
+        show()
         if interrupts.count:
             break
     progress.close(complete=not interrupts.count)
     slam.wait(1)  # one scan waits for the wheels to tell the motion through it
-    show(slam.state())
+    show()
     return told
 
 

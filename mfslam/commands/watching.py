@@ -74,10 +74,12 @@ class Watching:
         return "; ".join([told, *map(describe, health)])
 
 
-def open_viewer(place: Place | None, folder: Path, status: StatusLine, stack: ExitStack) -> Viewer | None:
+def open_viewer(
+    place: Place | None, folder: Path, tell: Callable[[str], None], stack: ExitStack
+) -> Viewer | None:
     """The viewer, where one is wanted; says where it is. Raises MfslamError."""
     if place is None:
         return None
     viewer = stack.enter_context(Viewer(place, folder.resolve().name, folder))
-    status.tell(f"open {viewer.url} in a browser")
+    tell(f"open {viewer.url} in a browser")
     return viewer
