@@ -87,16 +87,6 @@ class LiveSlam:
         """End the back end, whatever it does; a finished folder stays, an unfinished one is never half written."""
         self._link.close()
 
-    @property
-    def newest_ns(self) -> int:
-        """Of the newest scan that was fed."""
-        return self._newest_ns
-
-    @property
-    def back_end_pid(self) -> int:
-        """The process that maps; it leads a process group of its own."""
-        return self._link.pid
-
     # --- feeding ------------------------------------------------------------------------------------
 
     def feed(self, message: Message, place: bool = True) -> FloatArray | None:

@@ -34,20 +34,19 @@ class Tracker:
         self.frontend = Frontend(config)
         self._motion = MotionSources(config, self.findings)
         self._before: tuple[int, Keyframe] | None = None  # the latest keyframe, and its number among all
-        self.keyframes = self._placed = 0
+        self.keyframes = 0
 
     def note(self, message: Message) -> None:
         """Wheels, gyro, compass."""
         self._motion.add(message)
 
     def place(self, number: int, scan: Scan) -> Tracked:
-        """Place a scan; ``number``: of all that came, those that were not placed included."""
-        index, self._placed = self._placed, self._placed + 1  # as `MotionSources` counts
+        """Place the next scan; ``number``: of those that were placed."""
         self._motion.add(scan)
         motion = self._motion.predict(scan, self.frontend.local_T_body, self.frontend.last_step)
-        step = self.frontend.process(index, scan, motion)
+        step = self.frontend.process(number, scan, motion)
         if step.odometry_jump:
-            self._motion.jumps.append(index)
+            self._motion.jumps.append(number)
         if step.is_keyframe:
             self._learn(step)
         return Tracked(number, scan, step, motion.twist if step.twist is None else step.twist[:3])
