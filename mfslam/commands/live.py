@@ -123,7 +123,7 @@ class Drive:
                     pose = intake.take()
                     if pose is not None:
                         begun_s = begun_s if self.told else time.monotonic()
-                        self.told.append((slam.newest_ns, pose))
+                        self.told.append((slam.placed_ns, pose))
                     watching.look(feed.health.sensors, lambda: self._notes(feed))
                     if ends.asked or (self.told and time.monotonic() - begun_s >= duration_s):
                         feed.stop()

@@ -146,6 +146,11 @@ class LiveSlam:
             self._link.journal.append(Thin(self.pressure.spacing))
 
     @property
+    def placed_ns(self) -> int:
+        """Stamp of the newest scan that was placed; 0 before the first."""
+        return 0 if self._newest is None else self._newest.scan.stamp_ns
+
+    @property
     def back_end_pid(self) -> int:
         return self._link.pid
 

@@ -34,19 +34,20 @@ class Tracker:
         self.frontend = Frontend(config)
         self._motion = MotionSources(config, self.findings)
         self._before: tuple[int, Keyframe] | None = None  # the latest keyframe, and its number among all
-        self.keyframes = 0
+        self.keyframes = self._placed = 0
 
     def note(self, message: Message) -> None:
         """Wheels, gyro, compass."""
         self._motion.add(message)
 
     def place(self, number: int, scan: Scan) -> Tracked:
-        """Place the next scan; ``number``: of those that were placed."""
+        """Place a scan; ``number``: of all that came, those that were not placed included."""
+        index, self._placed = self._placed, self._placed + 1  # as `MotionSources` counts
         self._motion.add(scan)
         motion = self._motion.predict(scan, self.frontend.local_T_body, self.frontend.last_step)
-        step = self.frontend.process(number, scan, motion)
+        step = self.frontend.process(index, scan, motion)
         if step.odometry_jump:
-            self._motion.jumps.append(number)
+            self._motion.jumps.append(index)
         if step.is_keyframe:
             self._learn(step)
         return Tracked(number, scan, step, motion.twist if step.twist is None else step.twist[:3])
