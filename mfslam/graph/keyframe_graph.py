@@ -20,6 +20,7 @@ from mfslam.types import BoolArray, Edge, FloatArray, MfslamError
 from mfslam.uncertainty import chi2_quantile
 
 NEAR_M, NEAR_RAD = 0.1, 0.02  # a loop that contradicts the poses by less can wait for a solve
+GAIN_ON_THE_WAY = 1e-4  # of the error, below which a solve while mapping has arrived
 DISPUTE_LEAST, DISPUTE_SHARE = 3, 0.1  # new loops, of all, before the next dispute is settled
 
 
@@ -234,8 +235,9 @@ class PoseGraph:
         """All that waits is taken in."""
         solver = PoseSolver(self._arrays, len(self))
         solved = solver.solve(
-            self._poses, self._in_use(), self._arrays.is_loop, self.config.loop_kernel_sigmas
-        )
+            self._poses, self._in_use(), self._arrays.is_loop, self.config.loop_kernel_sigmas,
+            relative_gain=GAIN_ON_THE_WAY,
+        )  # fmt: skip
         self._poses[:] = solved
         self._marginals = JointMarginals(solver.factor, self._poses)
         self._waiting, self._is_contradicted, self._has_moved = 0, False, True
