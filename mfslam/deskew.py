@@ -15,9 +15,9 @@ STILL = np.zeros(3)
 
 @lru_cache(maxsize=64)
 def reference_offset_s(laser: Laser) -> float:
-    """Instant that a scan's points are carried to, relative to its stamp: the stamp itself when the scan
-    was sensed around it, else (transport delay) the nearest instant of the scan."""
-    return float(np.clip(0.0, laser.offsets_s.min(), laser.offsets_s.max()))
+    """Instant that a scan's points are carried to, relative to its stamp: the middle of the scan. A twist that is a
+    little wrong bends the scan about its middle, and hardly moves it."""
+    return 0.5 * float(laser.offsets_s.min() + laser.offsets_s.max())
 
 
 @lru_cache(maxsize=64)
@@ -28,19 +28,17 @@ def beam_times_s(laser: Laser) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def acceleration_lever_s2(laser: Laser) -> float:
-    """Error of a scan's pose per acceleration that its deskewing does not know, s^2: T^2 / 12 of a scan of duration
-    T that refers to its first beam, T^2 / 24 to its middle.
+    """Error of a scan's pose per acceleration that its deskewing does not know, s^2: T^2 / 24 of a scan of duration T.
 
-    With the mean twist of the scan a beam at time t is off by a (t^2 - 2 t_mean t) / 2; matching sees the mean of that.
+    A beam at time t from the middle is off by a t^2 / 2; matching sees the mean of that.
     """
-    times_s = beam_times_s(laser)
-    return 0.5 * abs(float(np.var(times_s) - np.mean(times_s) ** 2))
+    return 0.5 * float(np.mean(np.square(beam_times_s(laser))))
 
 
 def deskew(scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: float = 0.0) -> DeskewedScan:
     """Points of ``scan`` in the body frame at its reference instant.
 
-    ``body_twist`` (3,): m/s, m/s, rad/s, taken as constant through the scan; or (6,): that in the middle of the scan,
+    ``body_twist`` (3,): m/s, m/s, rad/s, taken as constant through the scan; or (6,): that at its reference instant,
     followed by its change per second. ``spacing_m``: points in
     beam order are thinned to this spacing after their normals were estimated.
     """

@@ -11,10 +11,11 @@ import numpy as np
 
 from mfslam import icp
 from mfslam.adjustment import Adjusted, AdjustedInformation, Noise, WheelTerms, adjust
-from mfslam.config import Config
+from mfslam.config import Config, IcpConfig
 from mfslam.deskew import deskew
 from mfslam.frontend import Keyframe, merged_surface
 from mfslam.kernels import poses
+from mfslam.scan_motion import ADJUSTED_SIGMAS, MATCHED_SIGMAS
 from mfslam.types import DeskewedScan, Edge, FloatArray, IntArray, Scan
 from mfslam.wheel_errors import WheelErrors, WheelStep
 
@@ -63,15 +64,11 @@ class Refinement:
         self._gate_share, self._iterations = 0.5, max(1, self._iterations // 2)
         return adjusted.world_T_body
 
-    def information(self, motion_variances: FloatArray) -> AdjustedInformation:
-        """What the last round says of its own errors; ``motion_variances`` (K, 3): of poses by the motion within their
-        scans. No range is better than its sensor is said to be: robust weights make what is left of it look smaller.
-        """
+    def information(self) -> AdjustedInformation:
+        """What the last round says of its own errors. No range is better than its sensor is said to be."""
         assert self._adjusted is not None
         scale = max(1.0, (self._range_sigma_m / self.noise.range_sigma_m) ** 2)
-        return AdjustedInformation(
-            self._adjusted.world_T_body, self._adjusted.solver, scale, motion_variances
-        )
+        return AdjustedInformation(self._adjusted.world_T_body, self._adjusted.solver, scale)
 
 
 def _tie(edge: Edge, told: bool) -> Edge:
@@ -90,13 +87,14 @@ def localise_between(
     world_T_body: FloatArray,
     keyframes: Sequence[Keyframe],
     config: Config,
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray]:
     """(S, 3) poses in which the scans between keyframes were matched with the surface of keyframes around them;
-    keyframes stay where they are.
+    keyframes stay where they are. And sigmas (S, 3) of poses, in their tangents.
 
     ``world_T_body`` (S, 3) where every scan stands so far, at its reference instant.
     """
     out = world_T_body.copy()
+    sigmas = np.tile(MATCHED_SIGMAS, (len(scans), 1))
     index: IntArray = np.array([k.scan_index for k in keyframes], dtype=np.int64)
     around = _around(world_T_body[index])
     loose = np.diag(LOCALISE_SIGMAS**-2.0)
@@ -116,7 +114,16 @@ def localise_between(
             near = np.all(np.abs(moved) < 3.0 * LOCALISE_SIGMAS)
             if match.inlier_ratio >= config.refine.min_inlier_ratio and near:
                 out[n] = match.ref_T_src
-    return out
+                sigmas[n] = _sigmas_of(match.information, config.icp)
+    return out, sigmas
+
+
+def _sigmas_of(information: FloatArray, config: IcpConfig) -> FloatArray:
+    """(3,) of a match with a surface that is as good as known: all its beams count, and no drift of a recent map."""
+    floor = np.array([config.sigma_floor_m, config.sigma_floor_m, np.radians(config.sigma_floor_deg)])
+    variances = np.diag(np.linalg.inv(information + np.diag(LOCALISE_SIGMAS**-2.0)))
+    own = config.independent_share * np.maximum(variances - floor**2, 0.0)
+    return np.asarray(np.sqrt(own + ADJUSTED_SIGMAS**2))
 
 
 def _around(world_T_body: FloatArray) -> list[set[int]]:

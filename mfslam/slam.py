@@ -21,6 +21,7 @@ from mfslam.loops import LoopCloser
 from mfslam.motion import MotionSources
 from mfslam.recovery import reach
 from mfslam.refine import HARDLY_ANYTHING, INERTIA
+from mfslam.scan_motion import ADJUSTED_SIGMAS, LEAST_SIGMAS, MATCHED_SIGMAS, SmoothMotion, smooth
 from mfslam.types import (
     DeskewedScan,
     Edge,
@@ -57,8 +58,8 @@ class Solution:
     """What a finished run knows.
 
     ``stamps_ns`` (S,), ``world_T_body`` (S, 3): the robot at every scan's stamp, in log order.
-    ``world_T_reference`` (S, 3), ``twists`` (S, 3): the pose at each scan's reference instant and the
-    motion through it, for re-projection. ``keyframes`` (K,): scan indices that ``edges`` number.
+    ``world_T_reference`` (S, 3), ``twists`` (S, 6): the pose at each scan's reference instant, the
+    twist there and its change per second, for re-projection. ``keyframes`` (K,): scan indices that ``edges`` number.
     ``covariances`` (S, 3, 3): of x, y and yaw of ``world_T_body``, in the world's axes, relative to the first pose.
     """
 
@@ -266,7 +267,7 @@ class Slam:
             tell("adjusting all keyframes and their walls together")
             with self.clock.time("adjustment"):
                 world_T_keyframe = self.graph.poses()
-                motions = self._motions(self._scan_poses(world_T_keyframe))
+                motions = self._smooth(self._scan_poses(world_T_keyframe)).twists
                 for keyframe in self.keyframes:
                     n = keyframe.scan_index
                     keyframe.cloud = deskew(
@@ -277,14 +278,14 @@ class Slam:
                 if len(refinement.wheels):
                     motion.wheel_errors.found(refinement.wheels.mean_errors, refinement.wheels.share)
                 edges = self.graph.place(world_T_keyframe, motion.revised(edges))
-        self.information = refinement.information(self._motion_variances(motions))
+        self.information = refinement.information()
         return edges
 
-    def _motion_variances(self, motions: FloatArray) -> FloatArray:
-        """(K, 3) what may be wrong of a keyframe's pose since its scan was not sensed at once."""
-        index = [k.scan_index for k in self.keyframes]
-        levers_s2 = np.array([acceleration_lever_s2(self.scans[n].laser) for n in index])
-        return np.square(levers_s2[:, None] * motions[index, 3:])
+    def _variances(self, motion: SmoothMotion, offsets_s: FloatArray) -> FloatArray:
+        """(S, 3) of poses at the scans' stamps as smoothed, and as their scans may be bent by an acceleration not known."""
+        levers_s2 = np.array([acceleration_lever_s2(s.laser) for s in self.scans])
+        bent = np.square(levers_s2[:, None]) * motion.covariances[:, :, 2, 2]
+        return np.asarray(motion.variances_at(-offsets_s) + bent)
 
     def _scan_poses(self, world_T_keyframe: FloatArray) -> FloatArray:
         local = np.array([step.local_T_body for step in self.steps])
@@ -292,56 +293,48 @@ class Slam:
         torn = np.array([self.steps[n].blind_s > 0.0 for n in index], dtype=np.bool_)
         return trajectory.spread_corrections(local, index, world_T_keyframe, torn)
 
-    def _motions(self, world_T_reference: FloatArray) -> FloatArray:
-        """(S, 6) twist in the middle of every scan and its change per second, along a trajectory."""
-        times = np.array(self._motion.times_s)
-        if len(times) < 2:
-            return np.zeros((len(times), 6))
-        offsets = np.array([(s.laser.offsets_s.min(), s.laser.offsets_s.max()) for s in self.scans])
-        reference = np.array([reference_offset_s(s.laser) for s in self.scans])
-        window_s = max(2.0 * float(np.median(np.diff(times))), 2.0 * self._motion.odometry.backwards_s, 0.05)
-        return trajectory.motions_at(
-            times, world_T_reference, times + offsets.mean(axis=1) - reference, window_s
-        )
+    def _smooth(self, world_T_reference: FloatArray, sigmas: FloatArray | None = None) -> SmoothMotion:
+        """A smooth trajectory through poses (S, 3) of all scans; ``sigmas`` (S, 3) of those between keyframes."""
+        index = np.array([k.scan_index for k in self.keyframes], dtype=np.int64)
+        variances = np.square(np.tile(MATCHED_SIGMAS, (len(self.scans), 1)) if sigmas is None else sigmas)
+        own = None if self.information is None else self.information.single_variances
+        variances[index] = ADJUSTED_SIGMAS**2 if own is None else own + LEAST_SIGMAS**2
+        times_s, late_s = np.array(self._motion.times_s), self._motion.odometry.backwards_s
+        if late_s > 0.0:  # stamps that lie: a robot that moves was elsewhere at that time
+            speeds = trajectory.twists_over(times_s, world_T_reference, times_s, times_s, 2.0 * late_s)
+            variances += np.square(late_s * speeds)
+        begins = np.array([step.blind_s > 0.0 for step in self.steps], dtype=np.bool_)
+        return smooth(times_s, world_T_reference, variances, begins)
 
     def _solution(self, edges: list[Edge], localise: bool = False) -> Solution:
         world_T_reference = self._scan_poses(self.graph.poses())
-        motions = self._motions(world_T_reference)
-        if localise and len(self.keyframes) > 1:
-            world_T_reference = refine.localise_between(
-                self.scans, motions, world_T_reference, self.keyframes, self.config
-            )
-            motions = self._motions(world_T_reference)
-        offsets = np.array([reference_offset_s(s.laser) for s in self.scans])
-        reference_T_stamp = self._to_stamps(world_T_reference, motions[:, :3], offsets)
+        motion = self._smooth(world_T_reference)
         keyframes = np.array([k.scan_index for k in self.keyframes], dtype=np.int64)
+        if localise and len(self.keyframes) > 1:
+            world_T_reference, sigmas = refine.localise_between(
+                self.scans, motion.twists, world_T_reference, self.keyframes, self.config
+            )
+            motion = self._smooth(world_T_reference, sigmas)
+            if self._motion.odometry.backwards_s == 0.0:
+                world_T_reference = se2.compose(world_T_reference, se2.exp(motion.off))
+        offsets = np.array([reference_offset_s(s.laser) for s in self.scans])
+        reference_T_stamp = motion.relative(-offsets)
         world_T_body = se2.compose(world_T_reference, reference_T_stamp)
         if offsets.any():
             edges = edges_at_stamps(edges, reference_T_stamp[keyframes])
+        if self.information is not None:
+            self.information.take_smoothed(self._variances(motion, offsets)[keyframes])
         return Solution(
             stamps_ns=np.array([s.stamp_ns for s in self.scans], dtype=np.int64),
             world_T_body=world_T_body,
             world_T_reference=world_T_reference,
-            twists=np.ascontiguousarray(motions[:, :3]),
+            twists=motion.twists,
             keyframes=keyframes,
             edges=edges,
             covariances=scan_covariances(
                 world_T_body, keyframes, edges, self.information.marginals() if self.information else None
             ),
         )
-
-    def _to_stamps(
-        self, world_T_reference: FloatArray, twists: FloatArray, offsets_s: FloatArray
-    ) -> FloatArray:
-        """(S, 3) motion from each scan's reference instant to its stamp: a scan sensed before its stamp
-        (transport delay) is carried on to it along the trajectory, beyond its end by the last twist."""
-        if not offsets_s.any():
-            return np.zeros_like(world_T_reference)
-        times = np.array(self._motion.times_s)
-        at_stamp = trajectory.poses_at(times, world_T_reference, times - offsets_s)
-        inside = (times - offsets_s >= times[0]) & (times - offsets_s <= times[-1])
-        along = se2.between(world_T_reference, at_stamp)
-        return np.where(inside[:, None], along, se2.exp(-offsets_s[:, None] * twists))
 
 
 def edges_at_stamps(edges: list[Edge], reference_T_stamp: FloatArray) -> list[Edge]:

@@ -83,43 +83,6 @@ def poses_at(times_s: FloatArray, world_T_body: FloatArray, at_s: FloatArray) ->
     return se2.interpolate(world_T_body[after - 1], world_T_body[after], share)
 
 
-def motions_at(
-    times_s: FloatArray, world_T_body: FloatArray, middles_s: FloatArray, window_s: float
-) -> FloatArray:
-    """(S, 6) body twist of each knot at ``middles_s`` (S,) and its change per second: a constant acceleration through
-    the knot and the poses half a window before and after it.
-
-    ``times_s`` (S,) must not decrease. At both ends, and where the next pose is more than two windows away, the
-    twist is the mean over the window and the acceleration zero.
-    """
-    half_s = 0.5 * window_s
-    steady = twists_over(times_s, world_T_body, middles_s, middles_s, window_s)
-    gaps_s = np.diff(times_s, prepend=-np.inf, append=np.inf)
-    known = (gaps_s[:-1] <= 2.0 * window_s) & (gaps_s[1:] <= 2.0 * window_s)
-    known &= (times_s - half_s >= times_s[0]) & (times_s + half_s <= times_s[-1])
-    back = se2.log(se2.between(world_T_body, poses_at(times_s, world_T_body, times_s - half_s)))
-    ahead = se2.log(se2.between(world_T_body, poses_at(times_s, world_T_body, times_s + half_s)))
-    acceleration = np.where(known[:, None], (ahead + back) / half_s**2, 0.0)
-    acceleration *= _share_of_signal(acceleration, known)
-    twist = (ahead - back) / window_s + acceleration * (middles_s - times_s)[:, None]
-    return np.hstack([np.where(known[:, None], twist, steady), acceleration])
-
-
-def _share_of_signal(seconds: FloatArray, known: BoolArray) -> FloatArray:
-    """(3,) share of the variance of second differences (S, 3) of poses that is motion, not noise of the poses.
-
-    White noise of variance s^2 makes second differences of 6 s^2 and fourth ones of 70 s^2, while those of a motion
-    are hardly larger than its second ones.
-    """
-    inner = known[:-2] & known[1:-1] & known[2:]
-    if not inner.any():
-        return np.zeros(3)
-    fourth = (seconds[:-2] - 2.0 * seconds[1:-1] + seconds[2:])[inner]
-    whole = np.mean(np.square(seconds[1:-1][inner]), axis=0)
-    noise = 6.0 / 70.0 * np.mean(np.square(fourth), axis=0)
-    return np.asarray(np.clip(1.0 - noise / np.maximum(whole, 1e-12), 0.0, 1.0))
-
-
 def twists_over(
     times_s: FloatArray, world_T_body: FloatArray, starts_s: FloatArray, ends_s: FloatArray, window_s: float
 ) -> FloatArray:

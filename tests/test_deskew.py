@@ -110,15 +110,15 @@ def test_the_mount_comes_in_between(mount):
 @pytest.mark.parametrize(
     ("first_s", "last_s", "expected_s"),
     [
-        (0.0, 0.1, 0.0),  # stamped at the first beam
+        (0.0, 0.1, 0.05),  # stamped at the first beam
         (-0.05, 0.05, 0.0),  # at the middle one
-        (-0.1, 0.0, 0.0),  # at the last
-        (-0.15, -0.083, -0.083),  # older than its stamp: its youngest beam
-        (0.02, 0.12, 0.02),  # younger: its oldest
-        (0.1, 0.0, 0.0),  # sensed against the order of its beams
+        (-0.1, 0.0, -0.05),  # at the last
+        (-0.15, -0.083, -0.1165),  # older than its stamp
+        (0.02, 0.12, 0.07),  # younger
+        (0.1, 0.0, 0.05),  # sensed against the order of its beams
     ],
 )
-def test_the_reference_is_the_stamp_or_the_nearest_instant_of_the_scan(first_s, last_s, expected_s):
+def test_the_reference_is_the_middle_of_the_scan_whatever_beam_is_stamped(first_s, last_s, expected_s):
     model = dataclasses.replace(rooms.laser(), offsets_s=np.linspace(first_s, last_s, 720))
     assert reference_offset_s(model) == pytest.approx(expected_s, abs=1e-12)
     scan = room_scan(FAST_TURN, model)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mfslam import se2
-from mfslam.trajectory import motions_at, poses_at, spread_corrections, spread_covariances, twists_over
+from mfslam.trajectory import poses_at, spread_corrections, spread_covariances, twists_over
 
 TWIST = np.array([1.5, 0.0, -0.9])
 
@@ -150,30 +150,3 @@ def test_covariances_between_keyframes_are_carried_and_bridged():
     bridge = 0.25 * 0.75
     assert body[0, 0] == pytest.approx((0.25 + bridge) * 0.01**2)
     assert body[1, 1] == pytest.approx((0.25 + bridge) * 0.02**2 + 0.25 * (behind_m * 0.003) ** 2)
-
-
-def test_a_constant_acceleration_is_found_wherever_the_knots_stand_in_their_scans():
-    acceleration = np.array([1.5, 0.0, 2.0])
-    times = np.arange(0.0, 3.0, 0.1)
-    fine = np.arange(0.0, 3.0, 1e-4)
-    steps = se2.exp((np.array([0.5, 0.0, -1.0]) + acceleration * (fine[:, None] + 0.5e-4)) * 1e-4)
-    poses = [np.zeros(3)]
-    for step in steps[:-1]:
-        poses.append(se2.compose(poses[-1], step))
-    found = motions_at(times, np.array(poses)[::1000], times + 0.03, 0.2)
-    expected = np.array([0.5, 0.0, -1.0]) + acceleration * (times[1:-1, None] + 0.03)
-    np.testing.assert_allclose(found[1:-1, 3:], np.tile(acceleration, (28, 1)), atol=0.06)
-    np.testing.assert_allclose(found[1:-1, :3], expected, atol=0.02)
-    assert not found[[0, -1], 3:].any()  # at the ends nobody knows
-
-
-def test_noise_of_the_poses_is_not_taken_for_acceleration():
-    rng = np.random.default_rng(3)
-    times = np.arange(0.0, 60.0, 0.1)
-    poses = np.column_stack([times, np.zeros_like(times), np.zeros_like(times)]) + rng.normal(
-        0, 0.003, (600, 3)
-    )
-    found = motions_at(times, poses, times + 0.03, 0.2)
-    noise = np.std(np.diff(poses[:, 2], 2)) / 0.1**2  # what the poses themselves say: about 0.7 rad/s^2
-    assert np.std(found[:, 5]) < 0.2 * noise
-    assert np.std(found[:, 0]) < 0.03

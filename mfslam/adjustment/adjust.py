@@ -118,7 +118,7 @@ def adjust(
         if change_m < SETTLED_M or change_m > STALLED * change_before_m:
             break
         change_before_m = change_m
-    return Adjusted(poses, solver, _noise_found(residuals, count, noise))
+    return Adjusted(poses, solver, _noise_found(residuals, count, noise, kernel_m))
 
 
 def _change_m(before: FloatArray, after: FloatArray) -> float:
@@ -185,8 +185,9 @@ def _add_edges(equations: Equations, edges: Sequence[Edge], poses: FloatArray) -
     equations.add([(i, before * both[:, None, None]), (j, after)], error, information)
 
 
-def _noise_found(residuals: _Residuals, scan_count: int, noise: Noise) -> Noise:
-    """The noise that the residuals show: of ranges within the groups, of patches between them."""
+def _noise_found(residuals: _Residuals, scan_count: int, noise: Noise, kernel_m: float) -> Noise:
+    """The noise that the residuals show, under a kernel of scale ``kernel_m``: of ranges within the groups, of patches
+    between them."""
     patch_of, patch_count = residuals.patch_of, residuals.patch_count
     seen_by = np.bincount(patch_of, minlength=patch_count)
     size, total, squares, slant = residuals.sums[seen_by[patch_of] >= MIN_SCANS].T
@@ -195,7 +196,11 @@ def _noise_found(residuals: _Residuals, scan_count: int, noise: Noise) -> Noise:
     within = size > 1.5
     free = np.sum((slant * (1.0 - 1.0 / np.maximum(size, 1.0)))[within])
     spread = np.sum((squares - total**2 / size)[within])
-    range_variance = (PRIOR_POINTS * noise.range_sigma_m**2 + spread) / (PRIOR_POINTS + free)
+    whole = math.hypot(noise.range_sigma_m, noise.patch_sigma_m)
+    for _ in range(5):  # the kernel makes what is left look smaller, by how much depends on how large it is
+        spread_of_all = spread / _kept_by_kernel(kernel_m / whole)
+        range_variance = (PRIOR_POINTS * noise.range_sigma_m**2 + spread_of_all) / (PRIOR_POINTS + free)
+        whole = math.sqrt(range_variance + noise.patch_sigma_m**2)
     mean = total / size
     left = 1.0 - (3.0 * scan_count + 2.0 * patch_count) / max(len(patch_of), 1)
     low, high = LEAST_SIGMA_M, LARGEST_SIGMA_M
@@ -204,3 +209,10 @@ def _noise_found(residuals: _Residuals, scan_count: int, noise: Noise) -> Noise:
         chi2 = np.median(mean**2 / (range_variance * slant / size**2 + middle**2))
         low, high = (middle, high) if chi2 > MEDIAN_CHI2 * max(left, 0.1) else (low, middle)
     return Noise(float(np.sqrt(range_variance)), float(high))
+
+
+def _kept_by_kernel(scale_sigmas: float) -> float:
+    """Variance of normal errors under the weights of a Geman-McClure kernel, over their variance."""
+    x = np.linspace(0.0, 6.0, 601)
+    weight = (scale_sigmas**2 / (scale_sigmas**2 + x**2)) ** 2 * np.exp(-0.5 * x**2)
+    return float(np.sum(weight * x**2) / np.sum(weight))

@@ -17,11 +17,8 @@ from mfslam.types import FloatArray, IntArray
 class AdjustedInformation:
     """Covariances of K adjusted poses (K, 3), the first being the origin."""
 
-    def __init__(
-        self, world_T_body: FloatArray, solver: Solver, variance_scale: float, further_variances: FloatArray
-    ) -> None:
-        """``variance_scale``: how many times less sure everything is than the solver's matrix says;
-        ``further_variances`` (K, 3): what else moves single poses, in their own frames."""
+    def __init__(self, world_T_body: FloatArray, solver: Solver, variance_scale: float) -> None:
+        """``variance_scale``: how many times less sure everything is than the solver's matrix says."""
         count = len(world_T_body)
         self._world_T_body = world_T_body
         carry, coarse = solver.coarse()
@@ -33,8 +30,15 @@ class AdjustedInformation:
         size = own.shape[1]
         blocks = own.reshape(len(own), size // 3, 3, size // 3, 3)
         inner = np.arange(size // 3)
-        self._own = variance_scale * blocks[:, inner, :, inner, :].swapaxes(0, 1).reshape(-1, 3, 3)[:count]
-        self._own += further_variances[:, :, None] * np.eye(3)
+        self._single = variance_scale * blocks[:, inner, :, inner, :].swapaxes(0, 1).reshape(-1, 3, 3)[:count]
+        # (K, 3) of each pose while its stretch is held
+        self.single_variances = np.diagonal(self._single, axis1=1, axis2=2).copy()
+        self._own = self._single
+
+    def take_smoothed(self, variances: FloatArray) -> None:
+        """Single poses have been smoothed since, and have ``variances`` (K, 3) now, in their tangents."""
+        scale = np.sqrt(variances / self.single_variances)
+        self._own = scale[:, :, None] * self._single * scale[:, None, :]
 
     def marginals(self) -> FloatArray:
         """(K, 3, 3) covariance of every pose relative to the first one, in the tangent at the pose."""

@@ -33,7 +33,7 @@ def count_square(
     """Count for each patch, ``lines`` (K, 5), the scans (C, N) of which a beam met it squarely (``met`` (K,)), or would have,
     and went on beyond it (``passed``).
 
-    ``angles`` (N,) rise. ``poses``, ``twists`` (C, 3), ``times`` (N,): as for `raytrace.place_beams`. ``limits``: shortest
+    ``angles`` (N,) rise. ``poses`` (C, 3), ``twists`` (C, 6), ``times`` (N,): as for `raytrace.place_beams`. ``limits``: shortest
     and longest range of a hit, and how far patches are looked at.
     """
     range_min, range_max, far = limits
@@ -41,8 +41,7 @@ def count_square(
     step = (angles[n - 1] - angles[0]) / max(1, n - 1)
     middle = n // 2
     for k in range(ranges.shape[0]):
-        vx, vy, w = twists[k, 0], twists[k, 1], twists[k, 2]
-        sx, sy, heading = _laser_at(poses[k], vx, vy, w, times[middle], mount)
+        sx, sy, heading = _laser_at(poses[k], twists[k], times[middle], mount)
         for q in range(lines.shape[0]):
             dx, dy = lines[q, 0] - sx, lines[q, 1] - sy
             square = dx * dx + dy * dy
@@ -53,7 +52,7 @@ def count_square(
             j = _beam_towards(math.atan2(dy, dx) - heading, angles, step)
             if j < 0:
                 continue
-            bx, by, bearing = _laser_at(poses[k], vx, vy, w, times[j], mount)
+            bx, by, bearing = _laser_at(poses[k], twists[k], times[j], mount)
             dx, dy = lines[q, 0] - bx, lines[q, 1] - by
             j = _beam_towards(math.atan2(dy, dx) - bearing, angles, step)
             if j < 0:
@@ -73,9 +72,14 @@ def count_square(
 
 @njit(cache=True, nogil=True)
 def _laser_at(
-    pose: FloatArray, vx: float, vy: float, w: float, time: float, mount: FloatArray
+    pose: FloatArray, twist: FloatArray, time: float, mount: FloatArray
 ) -> tuple[float, float, float]:
-    x, y, turn = arc(vx * time, vy * time, w * time)
+    half = 0.5 * time
+    x, y, turn = arc(
+        time * (twist[0] + half * twist[3]),
+        time * (twist[1] + half * twist[4]),
+        time * (twist[2] + half * twist[5]),
+    )
     c, s = math.cos(pose[2]), math.sin(pose[2])
     px, py, heading = pose[0] + c * x - s * y, pose[1] + s * x + c * y, pose[2] + turn
     c, s = math.cos(heading), math.sin(heading)

@@ -30,7 +30,7 @@ def place_beams(
 ) -> None:
     """Start and end points of the beams of scans (C, N) in the world, each from the body's pose at its time.
 
-    ``poses``, ``twists`` (C, 3): of the body at the scans' reference instants, and held through each.
+    ``poses`` (C, 3): of the body at the scans' reference instants; ``twists`` (C, 6): there, and their change per second.
     ``times`` (N,): instants of the beams from the reference, s. Eqs. 16-18 on the exact arc, with the mount
     in between. ``limits``: shortest and longest range of a hit, and how far a beam without return is free.
     Fills ``starts``, ``ends`` (C, N, 2) and ``kinds`` (C, N).
@@ -41,8 +41,7 @@ def place_beams(
     for k in range(ranges.shape[0]):
         x, y, theta = poses[k, 0], poses[k, 1], poses[k, 2]
         c, s = math.cos(theta), math.sin(theta)
-        vx, vy, w = twists[k, 0], twists[k, 1], twists[k, 2]
-        moving = vx != 0.0 or vy != 0.0 or w != 0.0
+        moving = twists[k].any()
         for j in range(n):
             r = float(ranges[k, j])
             if range_min <= r < range_max:
@@ -54,8 +53,10 @@ def place_beams(
                 kinds[k, j] = SILENT
                 r = 0.0
             if moving:
-                # the chord of the arc points along the heading halfway
-                half = 0.5 * w * times[j]
+                # the mean twist until then; the chord of its arc points along the heading halfway
+                ahead = 0.5 * times[j]
+                vx, vy = twists[k, 0] + ahead * twists[k, 3], twists[k, 1] + ahead * twists[k, 4]
+                half = ahead * (twists[k, 2] + ahead * twists[k, 5])
                 chord = times[j] * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
                 c, s = math.cos(theta + half), math.sin(theta + half)
                 x, y = poses[k, 0] + chord * (c * vx - s * vy), poses[k, 1] + chord * (s * vx + c * vy)

@@ -22,7 +22,7 @@ def project_beams(
     """End points of the valid beams in the body frame at time 0, each from the body's pose at its time.
 
     ``times`` (N,): instants of the beams from the reference, s. ``twist`` (3,): body velocity held
-    through the scan, or (6,): that in the middle of the scan, and its change per second. Eqs. 16-18 with an exact
+    through the scan, or (6,): that at time 0, and its change per second. Eqs. 16-18 with an exact
     arc and the mount in between.
     Returns points (M, 2) and the index (M,) of their beams.
     """
@@ -34,7 +34,6 @@ def project_beams(
     cm, sm = math.cos(mount[2]), math.sin(mount[2])
     changes = twist.shape[0] == 6
     vx, vy, turn = twist[0], twist[1], twist[2]
-    middle = 0.5 * (times[0] + times[n - 1]) if n > 0 else 0.0
     for j in range(n):
         r = ranges[j]
         if not (range_min <= r < range_max):
@@ -43,8 +42,8 @@ def project_beams(
         bx, by = mount[0] + cm * lx - sm * ly, mount[1] + sm * lx + cm * ly
         if not still:
             t = times[j]
-            if changes:  # the mean over 0 to t of the twist v + a (s - middle)
-                share = 0.5 * t - middle
+            if changes:  # the mean over 0 to t of the twist v + a s
+                share = 0.5 * t
                 vx, vy = twist[0] + share * twist[3], twist[1] + share * twist[4]
                 turn = twist[2] + share * twist[5]
             x, y, th = arc(vx * t, vy * t, turn * t)

@@ -41,7 +41,7 @@ class Beams:
 @dataclass(frozen=True, eq=False)
 class ScanGroup:
     """A few successive scans of one laser: ``ranges_m`` (C, N), ``world_T_body`` (C, 3) at their reference instants,
-    ``twists`` (C, 3) held through each (zero where scans are taken as snapshots), ``times_s`` (N,) of the beams
+    ``twists`` (C, 6) there and their change per second (zero where scans are taken as snapshots), ``times_s`` (N,) of the beams
     from the reference."""
 
     stamps_ns: IntArray
@@ -100,6 +100,8 @@ def _group(scans: Sequence[Scan], world_T_body: FloatArray, twists: FloatArray, 
     times_s = laser.offsets_s - reference_offset_s(laser)
     if config.deskew.mode == "range":
         ranges_m = (ranges_m + twists[:, :1] * times_s).astype(np.float32)  # eqs. 19-24
-    held = twists if config.deskew.mode == "pose" else np.zeros_like(twists)
+    told = np.zeros((len(scans), 6))
+    if config.deskew.mode == "pose":
+        told[:, : twists.shape[1]] = twists
     stamps_ns = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
-    return ScanGroup(stamps_ns, laser, ranges_m, world_T_body, held, times_s, config)
+    return ScanGroup(stamps_ns, laser, ranges_m, world_T_body, told, times_s, config)

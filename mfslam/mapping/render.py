@@ -28,11 +28,12 @@ def render_map(
     """Occupancy grid of all beams, and cloud of all hits, of ``scans``.
 
     ``world_T_body`` (S, 3): poses at the scans' reference instants (`deskew.reference_offset_s`).
-    ``twists`` (S, 3): body velocities held through each scan, m/s and rad/s; ``config.deskew.mode`` says how
+    ``twists`` (S, 3): body velocities held through each scan, m/s and rad/s, or (S, 6): those at the reference instants, and
+    their change per second; ``config.deskew.mode`` says how
     they are used (eqs. 14-24). ``findings`` is told when the cloud had to be thinned to ``map.max_points``.
     Raises MfslamError when the map would have too many cells.
     """
-    if world_T_body.shape != (len(scans), 3) or twists.shape != (len(scans), 3):
+    if world_T_body.shape != (len(scans), 3) or twists.shape not in ((len(scans), 3), (len(scans), 6)):
         raise ValueError(
             f"expected {len(scans)} poses and twists, got {world_T_body.shape} and {twists.shape}"
         )

@@ -51,7 +51,7 @@ def compare_motions(
     motions: Mapping[str, FloatArray],
     config: Config,
 ) -> dict[str, Any]:
-    """`Sharpness` as JSON by the name of each of ``motions``: twists (S, 3) through all scans, from the same poses (S, 3) at the
+    """`Sharpness` as JSON by the name of each of ``motions``: twists (S, 3) or (S, 6) through all scans, from the same poses (S, 3) at the
     scans' reference instants. Empty without any hit.
 
     Which hits make up a piece of wall is found with the last of the motions, and is the same for all. Only so many scans
@@ -62,8 +62,7 @@ def compare_motions(
     some = [scans[n] for n in chosen.tolist()]
     as_posed = config.model_copy(update={"deskew": config.deskew.model_copy(update={"mode": "pose"})})
     points = {
-        name: _hits(some, world_T_body[chosen], np.ascontiguousarray(twists[chosen, :3]), as_posed)
-        for name, twists in motions.items()
+        name: _hits(some, world_T_body[chosen], twists[chosen], as_posed) for name, twists in motions.items()
     }
     reference, facings, scan_of = points[list(motions)[-1]]
     if not len(reference):
