@@ -53,8 +53,11 @@ class SmoothMotion:
     def relative(self, offsets_s: FloatArray) -> FloatArray:
         """(S, 3) pose of the body ``offsets_s`` (S,) later than each scan's instant, seen from the pose at that instant."""
         pose, before = np.zeros((len(offsets_s), 3)), self.states[:, :, 0]
+        torn = (self.begins & (offsets_s < 0.0))[:, None]  # before it nothing is known but its own motion
         for n in range(1, SUBSTEPS + 1):
-            way = self._way(self.times_s + offsets_s * (n / SUBSTEPS))
+            t = offsets_s[:, None] * (n / SUBSTEPS)
+            alone = self.states[:, :, 0] + t * self.states[:, :, 1] + 0.5 * t * t * self.states[:, :, 2]
+            way = np.where(torn, alone, self._way(self.times_s + t[:, 0]))
             pose = se2.compose(pose, se2.exp(way - before))
             before = way
         return pose
@@ -67,7 +70,8 @@ class SmoothMotion:
         count = len(self.times_s)
         at_s = np.concatenate([self.times_s, self.times_s + offsets_s])
         order = np.argsort(at_s, kind="stable")
-        begins = np.concatenate([self.begins, np.zeros(count, np.bool_)])[order]
+        before = self.begins & (offsets_s < 0.0)
+        begins = np.concatenate([self.begins & ~before, before])[order]
         nothing, out = np.full((count, 3), UNKNOWN_POSITION), np.empty((2 * count, 3))
         for axis in range(3):
             variance = np.ascontiguousarray(np.concatenate([self.variances, nothing])[order, axis])

@@ -241,8 +241,9 @@ class Slam:
         """(S, 3) world_T_body of every scan placed so far, at its stamp, with keyframes (K, 3) at these poses."""
         world_T_reference = self._scan_poses(world_T_keyframe)
         offsets = np.array([reference_offset_s(s.laser) for s in self.scans])
-        twists = self._motions(world_T_reference)[:, :3]
-        return se2.compose(world_T_reference, self._to_stamps(world_T_reference, twists, offsets))
+        if not offsets.any():
+            return world_T_reference
+        return se2.compose(world_T_reference, self._smooth(world_T_reference).relative(-offsets))
 
     def thin_keyframes(self, spacing: float) -> None:
         """Keyframes this many times as far apart as configured from here on."""

@@ -21,6 +21,7 @@ from drivers.simulator.sensors import laser_model, laser_preset  # noqa: E402
 from drivers.simulator.simulate import simulate  # noqa: E402
 from drivers.simulator.world import parse_world  # noqa: E402
 from mfslam import se2  # noqa: E402
+from mfslam.deskew import reference_offset_s  # noqa: E402
 from mfslam.mapping import render_map  # noqa: E402
 from mfslam.settings import load, preset_path  # noqa: E402
 
@@ -53,7 +54,9 @@ def drawn(request):
     span_s = max(0.01, float(np.ptp(offsets_s)))
     begin = simulation.instants_s + offsets_s.min()
     twists = se2.log(se2.between(at(begin), at(begin + span_s))) / span_s
-    poses = se2.compose(np.array([0.0, 0.0, TURN_RAD]), at(simulation.instants_s))
+    poses = se2.compose(
+        np.array([0.0, 0.0, TURN_RAD]), at(simulation.instants_s + reference_offset_s(laser.laser))
+    )
     out = {}
     for resolution_m in (0.05, 0.02):
         truth = true_surfaces(world, beams, laser.laser.angles_rad, 0.5 * resolution_m, TURN_RAD)

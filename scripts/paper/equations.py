@@ -12,7 +12,7 @@ import numpy as np
 
 from mfslam import se2
 from mfslam.config import DeskewConfig
-from mfslam.deskew import beam_times_s, deskew
+from mfslam.deskew import deskew
 from mfslam.kernels import align
 from mfslam.kinematics import body_twist, move
 from mfslam.types import FloatArray, Scan
@@ -156,7 +156,7 @@ def _motion_slips() -> list[Slip]:
 
 def _beam_slips() -> list[Slip]:
     laser = paper_laser().laser
-    late_s = float(np.max(np.abs(printed_beam_times(laser.angles_rad, TURN_S) - beam_times_s(laser))))
+    late_s = float(np.max(np.abs(printed_beam_times(laser.angles_rad, TURN_S) - laser.offsets_s)))
     before, after = np.array([0.0, 0.0, math.radians(179.0)]), np.array([0.0, 0.0, math.radians(-179.0)])
     turned = se2.wrap(printed_interpolation(before, after, 0.5)[2] - se2.interpolate(before, after, 0.5)[2])
     arc = move(np.zeros(3), np.array([V_M_S, 0.0, W_RAD_S]), CYCLE_S)
@@ -175,7 +175,7 @@ def _beam_slips() -> list[Slip]:
 
 def _range_slips() -> list[Slip]:
     laser = paper_laser().laser
-    angles, times = laser.angles_rad, beam_times_s(laser)
+    angles, times = laser.angles_rad, laser.offsets_s
     errors = printed_distance_errors(V_M_S, TURN_S, len(angles))
     exact_errors = V_M_S * times
     # a wall 3 m ahead of a robot that drives straight on: the beam ahead, sensed in the middle of the scan

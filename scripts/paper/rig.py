@@ -14,7 +14,7 @@ from drivers.simulator import load_world as world_named
 from drivers.simulator.simulate import cast_scans
 from mfslam import se2
 from mfslam.config import Config, WheelsConfig
-from mfslam.deskew import beam_times_s
+from mfslam.deskew import beam_times_s, reference_offset_s
 from mfslam.motion import MotionSources
 from mfslam.settings import load, preset_path
 from mfslam.slam import Slam, Solution
@@ -103,15 +103,16 @@ def drive_through(name: str, first_s: float | None = None) -> Drive:
     in_laser = np.stack([seen * np.cos(spec.angles_rad), seen * np.sin(spec.angles_rad)], axis=-1)
     at_beams = se2.compose(motion.at(instants[:, None] + spec.offsets_s), spec.body_T_laser)
     hits = se2.transform(at_beams, in_laser[:, :, None, :])[:, :, 0]
-    poses = motion.at(instants)
+    poses = motion.at(instants + reference_offset_s(spec))
     return Drive(world, laser, motion, poses, instants, ranges, se2.transform(se2.inverse(poses), hits), hits)
 
 
 def true_twists(drive: Drive) -> FloatArray:
     """(S, 3) mean true body twist through each scan."""
     span_s = float(np.ptp(beam_times_s(drive.laser.laser)))
-    after = drive.motion.at(drive.instants_s + span_s)
-    return np.asarray(se2.log(se2.between(drive.world_T_body, after)) / span_s)
+    begin = drive.instants_s + float(drive.laser.laser.offsets_s.min())
+    steps = se2.between(drive.motion.at(begin), drive.motion.at(begin + span_s))
+    return np.asarray(se2.log(steps) / span_s)
 
 
 def wheel_twists(messages: Iterable[Message], settings: Config) -> FloatArray:

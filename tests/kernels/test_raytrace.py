@@ -120,7 +120,18 @@ def test_beams_start_and_end_where_se2_says(pose, mount, twist):
     angles, times = np.linspace(-2.0, 2.0, 7), np.linspace(-0.05, 0.1, 7)
     ranges = np.array([[1.0, 2.0, np.inf, np.nan, 0.05, 29.0, 31.0]], np.float32)
     starts, ends, kinds = np.empty((1, 7, 2)), np.empty((1, 7, 2)), np.empty((1, 7), np.int8)
-    place_beams(ranges, pose[None], twist[None], angles, times, mount, (0.1, 30.0, 4.0), starts, ends, kinds)
+    place_beams(
+        ranges,
+        pose[None],
+        np.append(twist, np.zeros(3))[None],
+        angles,
+        times,
+        mount,
+        (0.1, 30.0, 4.0),
+        starts,
+        ends,
+        kinds,
+    )
     world_T_laser = se2.compose(se2.compose(pose, se2.exp(twist * times[:, None])), mount)
     np.testing.assert_allclose(starts[0], world_T_laser[:, :2], atol=1e-9)
     assert kinds[0].tolist() == [HIT, HIT, FREE, SILENT, SILENT, HIT, FREE]
@@ -135,7 +146,16 @@ def test_without_the_setting_a_beam_without_return_says_nothing():
     starts, ends, kinds = np.empty((1, 2, 2)), np.empty((1, 2, 2)), np.empty((1, 2), np.int8)
     still = np.zeros((1, 3))
     place_beams(
-        ranges, still, still, np.zeros(2), np.zeros(2), np.zeros(3), (0.1, 30.0, 0.0), starts, ends, kinds
+        ranges,
+        still,
+        np.zeros((1, 6)),
+        np.zeros(2),
+        np.zeros(2),
+        np.zeros(3),
+        (0.1, 30.0, 0.0),
+        starts,
+        ends,
+        kinds,
     )
     assert kinds.tolist() == [[SILENT, SILENT]]
 

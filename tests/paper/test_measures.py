@@ -11,6 +11,7 @@ from paper.rig import SQUARE, Drive, drive_through, rms, true_twists
 
 from mfslam import se2
 from mfslam.config import DeskewConfig
+from mfslam.deskew import beam_times_s
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def test_snapshot_lags_by_the_way_driven_until_the_beam(drive: Drive) -> None:
     mean = mean_by_beam(moved)
     known = np.isfinite(mean[:, 0])
     assert known.sum() > 300
-    np.testing.assert_allclose(mean[known, 0], -drive.laser.laser.offsets_s[known], atol=1e-4)
+    np.testing.assert_allclose(mean[known, 0], -beam_times_s(drive.laser.laser)[known], atol=1e-4)
     np.testing.assert_allclose(mean[known, 1], 0.0, atol=1e-4)
 
 
@@ -32,7 +33,7 @@ def test_range_variant_is_off_by_one_minus_cosine_and_sine(drive: Drive) -> None
     moved = displacements(drive, true_twists(drive), DeskewConfig(mode="range"))[steady_scans(drive, 1.0)]
     mean = mean_by_beam(moved)
     known = np.isfinite(mean[:, 0])
-    way = drive.laser.laser.offsets_s
+    way = beam_times_s(drive.laser.laser)
     bearing = drive.laser.laser.angles_rad
     np.testing.assert_allclose(mean[known, 0], (way * (np.cos(bearing) - 1.0))[known], atol=1e-4)
     np.testing.assert_allclose(mean[known, 1], (way * np.sin(bearing))[known], atol=1e-4)
@@ -96,7 +97,8 @@ def test_every_hit_but_those_of_pillars_lies_on_its_cell_of_wall(drive: Drive) -
 def test_motion_free_icp_from_the_wheels_leaves_less_along_the_driving(drive: Drive) -> None:
     pairs = pairs_of(drive, 1, 10)
     conventional, motion_free = (converge(pairs, method, GUESSES[1]) for method in METHODS)
-    assert motion_free.x_m[-1] < 0.5 * conventional.x_m[-1]
+    # points refer to the middle of their scan: a snapshot lags by half of what it does from its first beam
+    assert motion_free.x_m[-1] < 0.6 * conventional.x_m[-1]
     assert motion_free.pairs == len(pairs) > 3
 
 
