@@ -181,8 +181,9 @@ class Mapper:
             line.close()
             os.waitpid(child, 0)
             self._copies.remove(copy)
-            if found is not None and found.error is None and len(found.keyframes) == count:
-                self._take(found, poses)
+            if found is not None and found.error is None:
+                # the copy has placed the scan that was waiting, too
+                self._take(replace(found, keyframes=found.keyframes[:count]), poses)
             out.append((found, wish, time.monotonic() - started_s))
         return out
 
@@ -199,7 +200,6 @@ class Mapper:
         try:
             slam = self.slam
             solution = slam.finish()
-            count = len(slam.keyframes)
             keyframes = slam.graph.poses()
             pose = solution.world_T_body[solution.keyframes[-1]]
             covariance = in_tangent(solution.covariances[solution.keyframes[-1]], pose)
@@ -209,7 +209,7 @@ class Mapper:
                 grid = outcome.result.grid
             else:
                 grid = self._draw(solution)
-            return Refined(keyframes[:count], solution.world_T_body, covariance, grid)
+            return Refined(keyframes, solution.world_T_body, covariance, grid)
         except MfslamError as error:
             return Refined(nothing, nothing, np.zeros((3, 3)), None, str(error))
 
