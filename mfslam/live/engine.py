@@ -60,7 +60,8 @@ class LiveSlam:
         self.findings = Findings()
         self.pressure = Pressure(self.findings)
         self.may_thin = True  # where nobody waits for the map, keyframes and scans give way
-        self.local_T_body, self.world_T_body = np.zeros(3), np.zeros(3)
+        self.local_T_body, self.world_T_body = np.zeros(3), np.zeros(3)  # at the newest scan's stamp
+        self._local_T_reference = np.zeros(3)  # at the instant that its points are carried to
         self.grid: OccupancyGrid | None = None
         self.latency_s: deque[float] = deque(maxlen=LATENCIES)
         self.cpu_s: deque[float] = deque(
@@ -121,14 +122,16 @@ class LiveSlam:
         behind_s = self.behind_s
         if not self.may_thin or not self._came_up or self.pressure.goes_to_map(number, behind_s):
             self._link.journal.append((number, self._packer.pack(message)))
-            self._sent.append((number, time.monotonic(), None if pose is None else self.local_T_body))
+            self._sent.append((number, time.monotonic(), None if pose is None else self._local_T_reference))
         if self.may_thin:
             self._relieve(behind_s)
         return pose
 
     def _place(self, scan: Scan) -> FloatArray:
         self._newest = self._tracker.place(self._scans - 1, scan)
-        self.local_T_body = self._newest.step.local_T_body
+        self._local_T_reference = self._newest.step.local_T_body
+        to_stamp = se2.exp(-reference_offset_s(scan.laser) * self._newest.twist)
+        self.local_T_body = se2.compose(self._local_T_reference, to_stamp)
         self._apply_correction()
         self.world_T_body = se2.compose(self._world_T_local, self.local_T_body)
         return self.world_T_body
@@ -140,9 +143,9 @@ class LiveSlam:
             return
         self._applied = corrected
         while self._sent and self._sent[0][0] <= corrected.number:
-            number, _, local_T_body = self._sent.popleft()
-            if number == corrected.number and local_T_body is not None:
-                self._world_T_local = se2.compose(corrected.world_T_body, se2.inverse(local_T_body))
+            number, _, local_T_reference = self._sent.popleft()
+            if number == corrected.number and local_T_reference is not None:
+                self._world_T_local = se2.compose(corrected.world_T_body, se2.inverse(local_T_reference))
                 self.world_T_body = se2.compose(self._world_T_local, self.local_T_body)
 
     def _relieve(self, behind_s: float) -> None:
@@ -203,8 +206,8 @@ class LiveSlam:
         stamp_ns = 0
         if newest is not None:
             cloud = deskew(newest.scan, newest.twist, self.config.deskew)
-            points = se2.transform(self.world_T_body, cloud.points_m)
-            stamp_ns = newest.scan.stamp_ns + round(reference_offset_s(newest.scan.laser) * 1e9)
+            points = se2.transform(se2.compose(self._world_T_local, self._local_T_reference), cloud.points_m)
+            stamp_ns = newest.scan.stamp_ns
         loops = np.zeros((0, 2), np.int64) if applied is None else applied.loops
         return LiveState(
             stamp_ns, self.world_T_body, self.local_T_body, self.covariance, points,
