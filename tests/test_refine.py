@@ -89,9 +89,10 @@ def test_scans_between_keyframes_are_placed_and_keyframes_stay(driven):
     rng = np.random.default_rng(4)
     start = se2.compose(truth, se2.exp(rng.normal(0.0, [0.03, 0.03, 0.01], truth.shape)))
     start[index] = truth[index]
-    placed = refine.localise_between(scans, np.tile(TWIST, (25, 1)), start, keyframes, Config())
+    placed, sigmas = refine.localise_between(scans, np.tile(TWIST, (25, 1)), start, keyframes, Config())
     before, after = (np.abs(se2.between(truth, p)).mean(axis=0) for p in (start, placed))
     assert np.all(after < 0.3 * before)
+    assert np.all((sigmas > 0.0) & (sigmas < 0.02))
     np.testing.assert_array_equal(placed[index], truth[index])
 
 
@@ -99,5 +100,5 @@ def test_a_scan_that_fits_nowhere_stays_where_it_was(driven):
     scans, truth, keyframes = driven
     start = truth.copy()
     start[4] = se2.compose(truth[4], np.array([0.0, 0.8, 0.4]))
-    placed = refine.localise_between(scans, np.tile(TWIST, (25, 1)), start, keyframes, Config())
+    placed, _ = refine.localise_between(scans, np.tile(TWIST, (25, 1)), start, keyframes, Config())
     np.testing.assert_array_equal(placed[4], start[4])

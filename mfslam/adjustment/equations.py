@@ -128,6 +128,8 @@ class Solver:
 
     def solve(self, rhs: FloatArray, relative_error: float = RELATIVE_ERROR) -> FloatArray:
         x, left = np.zeros_like(rhs), rhs.copy()
+        if not rhs.any():
+            return x
         # sums of products, not BLAS: its threads cost more than they bring here
         least = relative_error**2 * np.sum(rhs * rhs)
         near = self._precondition(left)
