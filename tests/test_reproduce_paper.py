@@ -56,7 +56,9 @@ def test_page_holds_every_section_and_every_picture_it_speaks_of(made: Path) -> 
 def test_numbers_of_the_page_are_in_the_json(made: Path) -> None:
     numbers = json.loads((made / "images" / "paper" / "numbers.json").read_text(encoding="utf-8"))
     at3 = numbers["scan_error"]["measured"]["3 m/s"]
-    assert at3["none"]["last_x_m"] == pytest.approx(-0.1, abs=0.002)  # v x 33.3 ms, from the middle of the scan
+    assert at3["none"]["last_x_m"] == pytest.approx(
+        -0.1, abs=0.002
+    )  # v x 33.3 ms, from the middle of the scan
     assert at3["pose, wheels"]["systematic_rms_m"] < at3["none"]["systematic_rms_m"] / 20.0
     assert set(numbers["aisles"]["measured"]["square-aisle"]) == {
         "convergence",

@@ -37,8 +37,11 @@ class AdjustedInformation:
 
     def take_smoothed(self, variances: FloatArray) -> None:
         """Single poses have been smoothed since, and have ``variances`` (K, 3) now, in their tangents."""
-        scale = np.sqrt(variances / self.single_variances)
-        self._own = scale[:, :, None] * self._single * scale[:, None, :]
+        # rounding leaves nothing of one that the first pose's hold decides
+        sound = np.all(self.single_variances > 0.0, axis=1)
+        scale = np.sqrt(variances / np.where(sound[:, None], self.single_variances, 1.0))
+        scaled = scale[:, :, None] * self._single * scale[:, None, :]
+        self._own = np.where(sound[:, None, None], scaled, variances[:, :, None] * np.eye(3))
 
     def marginals(self) -> FloatArray:
         """(K, 3, 3) covariance of every pose relative to the first one, in the tangent at the pose."""
