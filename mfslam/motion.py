@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
@@ -34,6 +35,7 @@ from mfslam.wheel_errors import WheelErrors, WheelStep
 
 STARTED_M, STARTED_RAD = 0.5, 0.3  # wheels that still show nothing by then are not connected
 COUNTER_JUMP = "wheel-counter-jump"  # the finding of a step that was left out
+UNKNOWN_STEP = np.full(3, np.nan)
 LAG_S = 0.5  # odometry older than this says nothing of a scan
 
 
@@ -55,6 +57,9 @@ class MotionSources:
         self._wheels = WheelIntegrator(config.wheels, findings)
         self._wheel_steps: dict[tuple[int, int], WheelStep] = {}  # between keyframes
         self._told_T_body: FloatArray | None = None  # the wheels' latest pose, as told
+        self.told_times_s = array("d")  # of every knot of the track, ...
+        self.told_steps = array("d")  # ... with the wheels' step to it as told (3 each), NaN where it is not known
+        self.told_with_scans: list[FloatArray | None] = []  # the wheels' pose that came with each scan, as told
         self._streamed = False  # whether that pose came in a message of its own
         self._with_scan: FloatArray | None = None  # corrected pose that came with the latest scan
         self._odom_T_body: list[FloatArray | None] = []  # at every scan
@@ -74,6 +79,7 @@ class MotionSources:
         if isinstance(message, Scan):
             self._scan_s, self._scan_pause_s, self._next_gap_s = time_s, pause_s, None
             told = message.odom_T_body
+            self.told_with_scans.append(told)
             self._with_scan = None if told is None else self._add_odometry(time_s, told, pause_s, True)
         elif isinstance(message, Odometry):
             self._add_odometry(time_s, message.odom_T_body, pause_s)
@@ -109,6 +115,7 @@ class MotionSources:
         """
         track = self.odometry
         corrected = odom_T_body
+        step = UNKNOWN_STEP
         if self._told_T_body is not None:
             if begins_anew(self._told_T_body, odom_T_body):
                 self.findings.add(
@@ -118,13 +125,15 @@ class MotionSources:
                 )
                 corrected, broken = track.odom_T_body[-1], True
             else:
-                step = self.wheel_errors.corrected(poses.between(self._told_T_body, odom_T_body))
-                corrected = poses.compose(track.odom_T_body[-1], step)
+                step = poses.between(self._told_T_body, odom_T_body)
+                corrected = poses.compose(track.odom_T_body[-1], self.wheel_errors.corrected(step))
         if from_scan and self._streamed and time_s < track.times_s[-1]:
             return corrected
         self._streamed = not from_scan
         self._told_T_body = odom_T_body
         track.add(time_s, corrected, pause_s, broken)
+        self.told_times_s.append(track.times_s[-1])
+        self.told_steps.extend(UNKNOWN_STEP if broken else step.tolist())
         return corrected
 
     def predict(self, scan: Scan, local_T_body: FloatArray, last_step: FloatArray) -> PredictedMotion:
