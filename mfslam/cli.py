@@ -59,6 +59,13 @@ def build_parser() -> argparse.ArgumentParser:
         "-o", "--output", metavar="OUT", type=Path, required=True, help="folder for the results"
     )
     command.add_argument("--overwrite", action="store_true", help="replace what OUT holds")
+    command.add_argument(
+        "--calibrate",
+        choices=("auto", "off"),
+        default="auto",
+        help="map once more with the mount and delay that the log tells, where these are surely other than assumed "
+        "(auto; for logs of wheels that have a stream of their own)",
+    )
     _add_topics(command)
     _add_settings(command)
     _add_reporting(command)
@@ -126,6 +133,22 @@ def build_parser() -> argparse.ArgumentParser:
     _add_settings(command)
     command.add_argument("--json", metavar="FILE", type=Path, help="write it as JSON too")
     command.set_defaults(run=_run_info)
+
+    command = commands.add_parser(
+        "calibrate",
+        help="find wheels, laser mount and delay of a robot from its ordinary logs",
+        description="Calibrate a robot by one or several of its logs and write the settings for map and live.",
+    )
+    command.add_argument("log", metavar="LOG", nargs="+", type=Path, help="logs of one robot, as for map")
+    command.add_argument(
+        "-o", "--output", metavar="FILE.yaml", type=Path, default=Path("calibration.yaml"),
+        help="settings for --config (./calibration.yaml)",
+    )  # fmt: skip
+    command.add_argument("--overwrite", action="store_true", help="replace FILE.yaml")
+    _add_topics(command)
+    _add_settings(command)
+    _add_reporting(command)
+    command.set_defaults(run=_run_calibrate)
 
     _add_evaluate(commands)
     _add_compare(commands)
@@ -389,6 +412,12 @@ def check_neighbours() -> None:
 
 def _run_map(args: argparse.Namespace) -> int:
     from mfslam.commands.map_log import run
+
+    return run(args)
+
+
+def _run_calibrate(args: argparse.Namespace) -> int:
+    from mfslam.commands.calibrate import run
 
     return run(args)
 

@@ -72,6 +72,8 @@ class WheelsConfig(_Stage):
     )
     ticks_per_turn: float = Field(1024.0, gt=0, description="Encoder ticks of one whole wheel turn.")
     swap_sides: bool = Field(False, description="The log's first wheel is the right one.")
+    left_reversed: bool = Field(False, description="The left wheel counts backwards: its signs are turned.")
+    right_reversed: bool = Field(False, description="The right wheel counts backwards: its signs are turned.")
     left_joint: str | None = Field(
         None, description="JointState name of the left wheel. Null: found by name."
     )

@@ -58,6 +58,7 @@ class WheelIntegrator:
         self.odom_T_body: FloatArray = np.zeros(3)
         self.findings = Findings() if findings is None else findings
         self._wheels = wheels
+        self._signs = (-1.0 if wheels.left_reversed else 1.0, -1.0 if wheels.right_reversed else 1.0)
         self._ticks = (_Counter(TICK_SPANS), _Counter(TICK_SPANS))
         self._angles = (_Counter(ANGLE_SPANS), _Counter(ANGLE_SPANS))
         self._last_ns: int | None = None
@@ -83,7 +84,9 @@ class WheelIntegrator:
         rad_per_unit: float,
     ) -> Odometry:
         steps = [counter.step(value) for counter, value in zip(counters, values, strict=True)]
-        left_rad, right_rad = (step * rad_per_unit for step, _ in steps)
+        left_rad, right_rad = (
+            sign * step * rad_per_unit for sign, (step, _) in zip(self._signs, steps, strict=True)
+        )
         elapsed_s = 0.0 if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
         self._last_ns = stamp_ns
         farthest_m = max(

@@ -57,9 +57,14 @@ class MotionSources:
         self._wheels = WheelIntegrator(config.wheels, findings)
         self._wheel_steps: dict[tuple[int, int], WheelStep] = {}  # between keyframes
         self._told_T_body: FloatArray | None = None  # the wheels' latest pose, as told
+        self.counts_wheels = False  # ticks or angles, not poses, tell of the wheels
         self.told_times_s = array("d")  # of every knot of the track, ...
-        self.told_steps = array("d")  # ... with the wheels' step to it as told (3 each), NaN where it is not known
-        self.told_with_scans: list[FloatArray | None] = []  # the wheels' pose that came with each scan, as told
+        self.told_steps = array(
+            "d"
+        )  # ... with the wheels' step to it as told (3 each), NaN where it is not known
+        self.told_with_scans: list[
+            FloatArray | None
+        ] = []  # the wheels' pose that came with each scan, as told
         self._streamed = False  # whether that pose came in a message of its own
         self._with_scan: FloatArray | None = None  # corrected pose that came with the latest scan
         self._odom_T_body: list[FloatArray | None] = []  # at every scan
@@ -89,6 +94,7 @@ class MotionSources:
             self.heading.add(time_s, message, after_gap=clock_jump_s != 0.0)
 
     def _add_wheels(self, time_s: float, message: WheelTicks | WheelAngles, pause_s: float) -> None:
+        self.counts_wheels = True
         left_out = self.findings.count(COUNTER_JUMP)
         placed = replace(message, stamp_ns=self._clock.on_time_line(message))
         told = (

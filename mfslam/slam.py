@@ -96,6 +96,11 @@ class Slam:
         self.information: AdjustedInformation | None = None  # of the keyframes as adjusted
 
     @property
+    def motion(self) -> MotionSources:
+        """What wheels, gyro and compass told."""
+        return self._motion
+
+    @property
     def odometry_jumps(self) -> list[int]:
         """Scans whose wheel motion was found wrong."""
         return self._motion.jumps

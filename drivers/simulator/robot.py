@@ -22,7 +22,7 @@ TICK_S = 0.01  # the twist of a driven motion is constant for this long
 
 def _no_reader_settings(wheels: WheelsConfig) -> WheelsConfig:
     """Keys that only a reader of logs knows would change nothing here: refused."""
-    for key in ("left_joint", "right_joint", "yaw_rate_rule"):
+    for key in ("left_joint", "right_joint", "yaw_rate_rule", "left_reversed", "right_reversed"):
         if getattr(wheels, key) != WheelsConfig.model_fields[key].default:
             raise ValueError(f"{key} is a setting of `mfslam map`, a simulated robot has none")
     return wheels

@@ -15,7 +15,6 @@ class Record:
     """``times_s`` (S,): reference instant of every scan on the wheels' clock, delay and drift as assumed.
     ``world_T_laser`` (S, 3): the laser then. ``sure`` (S,): whether the scan was matched, and no one's guess.
     ``laser``: as assumed. ``knots_s`` (K,), ``told_steps`` (K, 3): the wheels' steps as told, NaN where not known.
-    ``gyro_s`` (G,), ``gyro_yaw_rad`` (G,): the gyro's rate as told, integrated.
     ``stamps_back_s``: by how much stamps of one clock go backwards, which makes them worthless for delays.
     """
 
@@ -25,8 +24,6 @@ class Record:
     laser: Laser
     knots_s: FloatArray
     told_steps: FloatArray
-    gyro_s: FloatArray
-    gyro_yaw_rad: FloatArray
     stamps_back_s: float = 0.0
 
 

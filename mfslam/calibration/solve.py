@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 from mfslam import se2
 from mfslam.calibration.record import Record, Windows, without
 from mfslam.calibration.wheel_track import WheelLaw, WheelTrack
-from mfslam.types import FloatArray
+from mfslam.types import FloatArray, IntArray
 
 MOUNT = ("mount_x_m", "mount_y_m", "mount_yaw_rad")
 CLOCK = ("delay_s", "clock_drift")
@@ -20,8 +20,8 @@ MOUNT_PRIOR = np.array([1.0, 1.0, 1.0])
 KERNEL_SIGMAS = 3.0
 ITERATIONS = 12
 SMALL, SHIFT_S = 1e-6, 0.05
-LAGS = (1, 2, 4, 8)
-BLOCKS = 40
+LAGS = (1, 2, 4, 8)  # windows joined, over which the noise is counted
+BLOCKS = 40  # of the log, whose scores show how far the model of the noise can be believed
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,41 +42,39 @@ class Solved:
     names: tuple[str, ...]
     values: FloatArray
     covariance: FloatArray
-    prior_sigmas: FloatArray
     weights: FloatArray
     windows: Windows
     noise: Noise
-    normalised: FloatArray
 
 
 class Problem:
     """Windows of the laser against the wheels' track: e = log(a_T_b^-1 mount^-1 W(t_a, t_b) mount)."""
 
-    def __init__(self, record: Record, windows: Windows, law: WheelLaw, clock: bool = True) -> None:
+    def __init__(
+        self, record: Record, windows: Windows, law: WheelLaw, clock: bool = True, delay_s: float = 0.0
+    ) -> None:
         self.record, self.law = record, law
         self.track = WheelTrack(record.knots_s, record.told_steps, law)
-        reach_s = 0.3 if clock else 0.0
-        ta, tb = record.times_s[windows.a], record.times_s[windows.b]
+        reach_s = 0.1 if clock else 0.0
+        ta, tb = record.times_s[windows.a] + delay_s, record.times_s[windows.b] + delay_s
         self.windows = without(windows, ~self.track.unbroken(ta - reach_s, tb + reach_s))
         self.clock = clock
         self.names = (*law.names, *MOUNT, *(CLOCK if clock else ()))
-        self.start = np.concatenate(
-            [law.start, record.laser.body_T_laser, np.zeros(2 if clock else 0)]
-        )
+        self.start = np.concatenate([law.start, record.laser.body_T_laser, np.zeros(2 if clock else 0)])
         self.prior_sigmas = np.concatenate(
             [law.prior_sigmas, MOUNT_PRIOR, CLOCK_PRIOR if clock else np.zeros(0)]
         )
         self.middle_s = 0.5 * float(record.times_s[0] + record.times_s[-1])
         self.n_wheel = len(law.names)
 
-    def times(self, values: FloatArray, index: FloatArray) -> FloatArray:
+    def times(self, values: FloatArray, index: IntArray) -> FloatArray:
         times = self.record.times_s[index]
         if not self.clock:
-            return times
+            return np.asarray(times)
         delay, drift = values[-2:]
         return np.asarray(times + delay - drift * (times - self.middle_s))
 
-    def body_motion(self, values: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+    def body_motion(self, values: FloatArray, a: IntArray, b: IntArray) -> FloatArray:
         return se2.between(self.track.at(self.times(values, a)), self.track.at(self.times(values, b)))
 
     def error(self, values: FloatArray, body: FloatArray, a_T_b: FloatArray) -> FloatArray:
@@ -84,7 +82,7 @@ class Problem:
         predicted = se2.compose(se2.compose(se2.inverse(mount), body), mount)
         return se2.log(se2.between(a_T_b, predicted))
 
-    def errors(self, values: FloatArray, a: FloatArray, b: FloatArray, a_T_b: FloatArray) -> FloatArray:
+    def errors(self, values: FloatArray, a: IntArray, b: IntArray, a_T_b: FloatArray) -> FloatArray:
         self.track.move(values[: self.n_wheel])
         return self.error(values, self.body_motion(values, a, b), a_T_b)
 
@@ -122,18 +120,18 @@ class Problem:
         return np.hypot(motion[:, 0], motion[:, 1]), np.abs(motion[:, 2])
 
 
-def banded(windows: Windows, noise: Noise, weights: FloatArray, way: FloatArray, turn: FloatArray) -> FloatArray:
+def banded(
+    windows: Windows, noise: Noise, weights: FloatArray, way: FloatArray, turn: FloatArray
+) -> FloatArray:
     """(6, 3N) covariance of all errors, lower banded: neighbours share the error of the scan between them."""
     n = len(windows)
     ends = np.diag(noise.ends)
     back = se2.adjoint(se2.inverse(windows.a_T_b))
     own = back @ ends @ np.swapaxes(back, 1, 2) + ends
     walk = way[:, None] * noise.per_m + turn[:, None] * noise.per_rad
-    size = np.trace(own, axis1=1, axis2=2)
     own[:, range(3), range(3)] += walk
     inflated = (1.0 / weights - 1.0)[:, None] * own[:, range(3), range(3)]
     own[:, range(3), range(3)] += inflated
-    del size
     later = -back[1:] @ ends  # of window k + 1 (rows) with window k (columns)
     later *= windows.goes_on[1:, None, None]
     out = np.zeros((6, 3 * n))
@@ -167,14 +165,13 @@ def solve(problem: Problem, start: FloatArray | None = None, noise: Noise | None
         if iteration > 2 and np.all(np.abs(step) < 0.02 * sigma):
             break
     covariance = np.linalg.inv(hessian)
-    covariance, ratio = honest(covariance, flat, white, problem.windows, n)
-    chi = np.einsum("nc,nc->n", error, white[:, -1].reshape(n, 3))
-    return Solved(
-        problem.names, values, covariance, problem.prior_sigmas, weights, problem.windows, noise, ratio
-    )
+    covariance = honest(covariance, flat, white, problem.windows, n)
+    return Solved(problem.names, values, covariance, weights, problem.windows, noise)
 
 
-def robust_weights(windows: Windows, error: FloatArray, noise: Noise, way: FloatArray, turn: FloatArray) -> FloatArray:
+def robust_weights(
+    windows: Windows, error: FloatArray, noise: Noise, way: FloatArray, turn: FloatArray
+) -> FloatArray:
     variances = 2.0 * noise.ends + way[:, None] * noise.per_m + turn[:, None] * noise.per_rad
     chi2 = np.sum(error**2 / variances, axis=1) / 3.0
     return np.asarray(1.0 / (1.0 + np.maximum(0.0, chi2 / KERNEL_SIGMAS**2 - 1.0)))
@@ -209,12 +206,12 @@ def found_noise(problem: Problem, values: FloatArray, before: Noise) -> Noise:
 
 def honest(
     covariance: FloatArray, flat: FloatArray, white: FloatArray, windows: Windows, n: int
-) -> tuple[FloatArray, FloatArray]:
+) -> FloatArray:
     """The covariance, widened where scores of stretches of the log scatter more than the model says."""
     scores = np.einsum("nrp,nr->np", flat.reshape(n, 3, -1), white[:, -1].reshape(n, 3))
     edges = np.unique(np.linspace(0, n, BLOCKS + 1).astype(int))
     blocks = np.add.reduceat(scores, edges[:-1], axis=0)
     meat = blocks.T @ blocks * len(blocks) / max(1, len(blocks) - 1)
     sandwich = covariance @ meat @ covariance
-    ratio = np.diag(sandwich) / np.diag(covariance)
-    return covariance, ratio
+    widening = np.sqrt(np.maximum(1.0, np.diag(sandwich) / np.diag(covariance)))
+    return np.asarray(covariance * np.outer(widening, widening))

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from mfslam import se2
-from mfslam.types import BoolArray, FloatArray
+from mfslam.types import BoolArray, FloatArray, IntArray
 
 
 class WheelLaw(Protocol):
     """How told twists become true ones under ``values`` (W,), which are ``names`` in this order."""
 
-    names: tuple[str, ...]
-    start: FloatArray
-    prior_sigmas: FloatArray
+    @property
+    def names(self) -> tuple[str, ...]: ...
+
+    @property
+    def start(self) -> FloatArray: ...
+
+    @property
+    def prior_sigmas(self) -> FloatArray: ...
 
     def true_twists(self, told: FloatArray, values: FloatArray) -> FloatArray:
         """(K, 3)"""
@@ -35,13 +40,8 @@ class DifferentialDrive:
     track_m: float
     signs: FloatArray
     names: tuple[str, ...] = ("radius_left", "radius_right", "track")
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "start", np.ones(3))
-        object.__setattr__(self, "prior_sigmas", np.array([0.3, 0.3, 0.5]))
-
-    start: FloatArray = None  # type: ignore[assignment]
-    prior_sigmas: FloatArray = None  # type: ignore[assignment]
+    start: FloatArray = field(default_factory=lambda: np.ones(3))
+    prior_sigmas: FloatArray = field(default_factory=lambda: np.array([0.3, 0.3, 0.5]))
 
     def true_twists(self, told: FloatArray, values: FloatArray) -> FloatArray:
         half = 0.5 * self.track_m * told[:, 2]
@@ -57,13 +57,8 @@ class PoseOdometry:
     """Poses of unknown wheels: x' = scale x, y' = scale y, theta' = turn theta + drift x."""
 
     names: tuple[str, ...] = ("scale", "turn_scale", "drift")
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "start", np.array([1.0, 1.0, 0.0]))
-        object.__setattr__(self, "prior_sigmas", np.array([0.3, 0.5, 0.3]))
-
-    start: FloatArray = None  # type: ignore[assignment]
-    prior_sigmas: FloatArray = None  # type: ignore[assignment]
+    start: FloatArray = field(default_factory=lambda: np.array([1.0, 1.0, 0.0]))
+    prior_sigmas: FloatArray = field(default_factory=lambda: np.array([0.3, 0.5, 0.3]))
 
     def true_twists(self, told: FloatArray, values: FloatArray) -> FloatArray:
         scale, turn, drift = values
@@ -112,7 +107,7 @@ class WheelTrack:
         inside = (start_s >= self._knots_s[0]) & (end_s <= self._knots_s[-1])
         return np.asarray(inside & (self._breaks[last] == self._breaks[first - 1]))
 
-    def _place(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _place(self, times_s: FloatArray) -> tuple[IntArray, FloatArray]:
         knots = self._knots_s
         after = np.clip(np.searchsorted(knots, times_s, side="right"), 1, len(knots) - 1)
         gap_s = knots[after] - knots[after - 1]

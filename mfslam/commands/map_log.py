@@ -5,15 +5,18 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import Any
 
 from drivers.base import Log
 from drivers.logs import open_log
+from mfslam.calibration.outcome import GEOMETRY
+from mfslam.calibration.run import applied, brings_poses, calibrate
 from mfslam.commands.interrupts import Interrupts
 from mfslam.commands.progress import Progress
 from mfslam.commands.settings import config_for, topics_of
 from mfslam.config import Config
 from mfslam.kernels.warm_up import compile_once
-from mfslam.outcome import Outcome, leave, outcome_of
+from mfslam.outcome import Outcome, compare_deskewing, leave, outcome_of
 from mfslam.output import check_writable, run_folder
 from mfslam.slam import Slam, Solution
 from mfslam.types import Findings, Scan
@@ -27,7 +30,11 @@ def run(args: argparse.Namespace) -> int:
             check_writable(args.json)
         compile_s = compile_once(progress.tell)
         with Interrupts() as interrupts:
-            outcome = map_log(log, config, progress, interrupts, args.start_cpu_s + compile_s)
+            start_cpu_s = args.start_cpu_s + compile_s
+            if args.calibrate == "off":
+                outcome = map_log(log, config, progress, interrupts, start_cpu_s)
+            else:
+                outcome, config = map_calibrated(log, config, progress, interrupts, start_cpu_s, args)
             leave(outcome, config, args.output, args.json)
     if not args.quiet:
         say(outcome, args.output)
@@ -50,6 +57,51 @@ def map_log(
     progress.tell("drawing the map ...")
     findings.merge(log.findings)
     return outcome_of(slam, solution, config, log.info, findings, interrupts.count > 0, start_cpu_s)
+
+
+def map_calibrated(
+    log: Log, config: Config, progress: Progress, interrupts: Interrupts, start_cpu_s: float,
+    args: argparse.Namespace,
+) -> tuple[Outcome, Config]:  # fmt: skip
+    """`map_log`, and once more with the mount and the delay that the first pass found, where these are surely others
+    than assumed; with the settings of the last pass."""
+    slam, findings, info = Slam(config), Findings(), log.info
+    read_log(log, slam, progress, interrupts, findings)
+    solution = finish(slam, progress, interrupts, findings)
+    findings.merge(log.findings)
+    calibration = None if brings_poses(slam) or interrupts.count else calibrate(slam, solution)
+    told: dict[str, Any] = {}
+    if calibration is not None:
+        told = {e.name: e.as_json() for e in calibration.estimates}
+        changed = [e for e in calibration.significant if e.name in GEOMETRY]
+        if calibration.start.words:
+            findings.add("wheels-wired-wrong", f"{calibration.start.words}, by the scans: corrected")
+        if changed or calibration.start.words:
+            what = ", ".join(f"{e.name} {e.before:.4g} -> {e.value:.4g} {e.kind.unit}" for e in changed)
+            findings.add(
+                "calibrated", f"calibrated by the log itself and mapped again with it: {what or 'wheels'}"
+            )
+            progress.tell(f"calibrated: {what or 'wheels'}; mapping again")
+            sharpness = compare_deskewing(slam, solution, config)
+            del slam
+            config = applied(config, calibration)
+            slam = Slam(config)
+            with open_log(args.log, config, topics=topics_of(args)) as again:
+                read_log(again, slam, progress, interrupts, findings)
+                info = again.info
+            solution = finish(slam, progress, interrupts, findings)
+            told["sharpness_before"] = sharpness["optimised"]
+    progress.tell("drawing the map ...")
+    outcome = outcome_of(slam, solution, config, info, findings, interrupts.count > 0, start_cpu_s)
+    if told:
+        before = told.pop("sharpness_before", None)
+        outcome.summary["calibration"] = told
+        if before is not None:
+            outcome.summary["sharpness"] = {
+                "before_calibration": before,
+                "after": outcome.summary["deskew"]["optimised"],
+            }
+    return outcome, config
 
 
 def read_log(log: Log, slam: Slam, progress: Progress, interrupts: Interrupts, findings: Findings) -> None:

@@ -1,0 +1,102 @@
+"""From a finished run to its calibration, and from that to the settings of the next run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mfslam import se2
+from mfslam.calibration.outcome import Calibration, Estimate, calibration_of
+from mfslam.calibration.record import Record, cut_windows
+from mfslam.calibration.solve import Problem, solve
+from mfslam.calibration.start import find_start
+from mfslam.calibration.wheel_track import DifferentialDrive, PoseOdometry, WheelLaw
+from mfslam.config import Config
+from mfslam.slam import Slam, Solution
+from mfslam.types import FloatArray
+
+LEAST_WINDOWS = 50
+LEAST_CORRELATION = 0.5  # of the laser's turns and the wheels': below, they do not speak of one robot
+LYING_S = 0.02  # stamps that go back by more tell no delay
+POOR_FIT = 0.4
+
+
+def record_of(slam: Slam, solution: Solution) -> Record | None:
+    """What the run knows of laser and wheels; None where no wheels turned."""
+    motion = slam.motion
+    if not motion.odometry.has_moved or len(solution.world_T_reference) < 2:
+        return None
+    laser = slam.scans[0].laser
+    times = np.maximum.accumulate(np.array(motion.times_s)) + 1e-9 * np.arange(len(motion.times_s))
+    sure = np.array(
+        [s.blind_s == 0.0 and (s.match is None or s.match.inlier_ratio > POOR_FIT) for s in slam.steps]
+    )
+    knots, steps = np.array(motion.told_times_s), np.array(motion.told_steps).reshape(-1, 3)
+    told = motion.told_with_scans
+    if told and all(pose is not None for pose in told):  # the wheels' pose at each scan, whatever the stamps
+        poses = np.array(told)
+        knots = times
+        steps = np.vstack([np.full((1, 3), np.nan), se2.between(poses[:-1], poses[1:])])
+        steps[motion.jumps] = np.nan
+    world_T_laser = se2.compose(solution.world_T_reference, laser.body_T_laser)
+    return Record(times, world_T_laser, sure, laser, knots, steps, motion.odometry.backwards_s)
+
+
+def brings_poses(slam: Slam) -> bool:
+    """Whether each scan of the log bears the wheels' pose: put together by the recorder, by its own clock."""
+    return bool(slam.motion.told_with_scans) and slam.motion.told_with_scans[0] is not None
+
+
+def calibrate(slam: Slam, solution: Solution) -> Calibration | None:
+    """The calibration by a finished run; None where there are no wheels, or too little motion to say anything."""
+    record = record_of(slam, solution)
+    if record is None:
+        return None
+    windows = cut_windows(record)
+    if len(windows) < LEAST_WINDOWS:
+        return None
+    config = slam.config
+    clock = record.stamps_back_s < LYING_S
+    start = find_start(record, windows, config.wheels.track_m, clock)
+    if abs(start.correlation) < LEAST_CORRELATION:
+        return None
+    law: WheelLaw = (
+        DifferentialDrive(config.wheels.track_m, start.signs) if slam.motion.counts_wheels else PoseOdometry()
+    )
+    problem = Problem(record, windows, law, clock, start.delay_s)
+    if len(problem.windows) < LEAST_WINDOWS:
+        return None
+    values = problem.start.copy()
+    if clock:
+        values[-2] = start.delay_s
+    if slam.motion.counts_wheels:
+        values[2] = start.track_share
+    return calibration_of(solve(problem, values), record, start, config)
+
+
+def applied(config: Config, calibration: Calibration) -> Config:
+    """The config with all that was found."""
+    found = calibration.settings()
+    return config.model_copy(
+        update={stage: getattr(config, stage).model_copy(update=values) for stage, values in found.items()}
+    )
+
+
+def together(calibrations: Sequence[Calibration]) -> Calibration:
+    """Of several logs of one robot: each counts by its information. All must speak of the same parameters."""
+    first = calibrations[0]
+    information = np.zeros_like(first.covariance)
+    vector: FloatArray = np.zeros(len(first.estimates))
+    for calibration in calibrations:
+        own = np.linalg.inv(calibration.covariance)
+        information += own
+        vector += own @ np.array([e.value for e in calibration.estimates])
+    covariance: FloatArray = np.asarray(np.linalg.inv(information))
+    values = covariance @ vector
+    estimates: list[Estimate] = [
+        replace(e, value=float(values[n]), sigma=float(np.sqrt(covariance[n, n])))
+        for n, e in enumerate(first.estimates)
+    ]
+    return replace(first, estimates=estimates, covariance=covariance)
