@@ -212,13 +212,8 @@ def calibration_of(solved: Solved, record: Record, start: Start, config: Config)
     for n, name in enumerate(solved.names):
         offset = config.sensor.transport_delay_s if name == "delay_s" else 0.0
         short = name.removesuffix("_m").removesuffix("_s").removesuffix("_rad")
+        assumed, value = (float(v * factors[n] + offset) for v in (before[name], solved.values[n]))
         estimates.append(
-            Estimate(
-                short,
-                float(before[name] * factors[n] + offset),
-                float(solved.values[n] * factors[n] + offset),
-                math.sqrt(covariance[n, n]),
-                relative.get(name, 1.0),
-            )  # fmt: skip
+            Estimate(short, assumed, value, math.sqrt(covariance[n, n]), relative.get(name, 1.0))
         )
     return Calibration(estimates, covariance, start, config)

@@ -60,13 +60,18 @@ def _say(calibration: Calibration) -> None:
         print(f"  {line}", file=sys.stdout)
 
 
+def _without_wheels(config: Config) -> Config:
+    return config.model_copy(update={"odometry": config.odometry.model_copy(update={"use": False})})
+
+
 def _of_log(path: Path, args: argparse.Namespace, progress: Progress, interrupts: Interrupts) -> Calibration:
     """Map the log, calibrate, and again with what was found, until nothing changes that matters."""
     config = config_for(path, args)
     calibration: Calibration | None = None
     first: Calibration | None = None
+    blind = False  # whether the wheels spoilt the first pass: then it is made by the scans alone
     for n in range(PASSES):
-        slam, findings = Slam(config), Findings()
+        slam, findings = Slam(_without_wheels(config) if blind else config), Findings()
         with open_log(path, config, topics=topics_of(args)) as log:
             read_log(log, slam, progress, interrupts, findings)
         solution = finish(slam, progress, interrupts, findings)
@@ -74,6 +79,10 @@ def _of_log(path: Path, args: argparse.Namespace, progress: Progress, interrupts
         if latest is None:
             if calibration is not None:
                 break
+            if not blind and not interrupts.count:
+                blind = True
+                progress.tell("the wheels do not fit what the laser sees: again by the scans alone")
+                continue
             raise MfslamError(
                 f"{path}: too little to calibrate by: it needs wheels that turn as the laser sees the robot turn, "
                 "and half a minute of driving with turns both ways"
@@ -81,6 +90,6 @@ def _of_log(path: Path, args: argparse.Namespace, progress: Progress, interrupts
         calibration, first = latest, first or latest
         if interrupts.count or not (latest.significant or latest.start.words) or n == PASSES - 1:
             break
-        config = applied(config, latest)
+        config, blind = applied(config, latest), False
     assert calibration is not None and first is not None
     return calibration.since(first)
