@@ -13,6 +13,7 @@ from mfslam.commands.interrupts import Interrupts
 from mfslam.commands.map_log import finish, read_log
 from mfslam.commands.progress import Progress
 from mfslam.commands.settings import config_for, topics_of
+from mfslam.config import Config
 from mfslam.kernels.warm_up import compile_once
 from mfslam.output import check_writable, json_text, write_atomically
 from mfslam.slam import Slam
