@@ -9,7 +9,7 @@ from typing import Any
 
 from drivers.base import Log
 from drivers.logs import open_log
-from mfslam.calibration.outcome import GEOMETRY
+from mfslam.calibration.outcome import GEOMETRY, Calibration
 from mfslam.calibration.run import applied, brings_poses, calibrate
 from mfslam.commands.interrupts import Interrupts
 from mfslam.commands.progress import Progress
@@ -20,6 +20,8 @@ from mfslam.outcome import Outcome, compare_deskewing, leave, outcome_of
 from mfslam.output import check_writable, run_folder
 from mfslam.slam import Slam, Solution
 from mfslam.types import Findings, Scan
+
+BLUNTER_SHARE, BLUNTER_BITS = 1.005, 0.005  # of a map's cells, of its entropy: within this it is as sharp
 
 
 def run(args: argparse.Namespace) -> int:
@@ -64,44 +66,56 @@ def map_calibrated(
     args: argparse.Namespace,
 ) -> tuple[Outcome, Config]:  # fmt: skip
     """`map_log`, and once more with the mount and the delay that the first pass found, where these are surely others
-    than assumed; with the settings of the last pass."""
+    than assumed. The second pass counts unless its map is blunter; with the settings of the pass that counts."""
     slam, findings, info = Slam(config), Findings(), log.info
     read_log(log, slam, progress, interrupts, findings)
     solution = finish(slam, progress, interrupts, findings)
     findings.merge(log.findings)
     calibration = None if brings_poses(slam) or interrupts.count else calibrate(slam, solution)
     told: dict[str, Any] = {}
-    if calibration is not None:
-        told = {e.name: e.as_json() for e in calibration.estimates}
-        changed = [e for e in calibration.significant if e.name in GEOMETRY]
-        if calibration.start.words:
-            findings.add("wheels-wired-wrong", f"{calibration.start.words}, by the scans: corrected")
-        if changed or calibration.start.words:
-            what = ", ".join(f"{e.name} {e.before:.4g} -> {e.value:.4g} {e.kind.unit}" for e in changed)
+    what = "" if calibration is None else _what_changes(calibration)
+    if calibration is not None and what:
+        progress.tell(f"calibrated: {what}; mapping again")
+        slam.release()
+        found = applied(config, calibration)
+        better = Slam(found)
+        with open_log(args.log, found, topics=topics_of(args)) as again:
+            read_log(again, better, progress, interrupts, Findings())
+        improved = finish(better, progress, interrupts, findings)
+        before = compare_deskewing(slam, solution, config)["optimised"]
+        after = compare_deskewing(better, improved, found)["optimised"]
+        told = {"sharpness": {"before": before, "after": after}, "used": _as_sharp(after, before)}
+        if told["used"]:
+            slam, solution, config = better, improved, found
+            findings.add("calibrated", f"calibrated by the log itself and mapped again: {what}")
+        else:
             findings.add(
-                "calibrated", f"calibrated by the log itself and mapped again with it: {what or 'wheels'}"
+                "calibration-refused",
+                f"the log speaks of other values than assumed, but its map gets blunter with them: {what}; the assumed "
+                "ones were kept (see `mfslam calibrate`)",
             )
-            progress.tell(f"calibrated: {what or 'wheels'}; mapping again")
-            sharpness = compare_deskewing(slam, solution, config)
-            del slam
-            config = applied(config, calibration)
-            slam = Slam(config)
-            with open_log(args.log, config, topics=topics_of(args)) as again:
-                read_log(again, slam, progress, interrupts, findings)
-                info = again.info
-            solution = finish(slam, progress, interrupts, findings)
-            told["sharpness_before"] = sharpness["optimised"]
     progress.tell("drawing the map ...")
     outcome = outcome_of(slam, solution, config, info, findings, interrupts.count > 0, start_cpu_s)
-    if told:
-        before = told.pop("sharpness_before", None)
-        outcome.summary["calibration"] = told
-        if before is not None:
-            outcome.summary["sharpness"] = {
-                "before_calibration": before,
-                "after": outcome.summary["deskew"]["optimised"],
-            }
+    if calibration is not None:
+        outcome.summary["calibration"] = {
+            **told,
+            "found": {e.name: e.as_json() for e in calibration.estimates},
+        }
     return outcome, config
+
+
+def _what_changes(calibration: Calibration) -> str:
+    """In words what is worth mapping again for; empty where nothing is."""
+    wrong = [calibration.start.words] if calibration.start.words else []
+    changed = [e for e in calibration.significant if e.name in GEOMETRY]
+    return ", ".join(wrong + [f"{e.name} {e.before:.4g} -> {e.value:.4g} {e.kind.unit}" for e in changed])
+
+
+def _as_sharp(after: dict[str, float], before: dict[str, float]) -> bool:
+    """A mount or a clock that is off by a constant hardly blurs a map, so that it need not get sharper; where it gets
+    blunter, the calibration was wrong."""
+    share = after["cells"] / max(before["cells"], 1)
+    return share < BLUNTER_SHARE and after["entropy_bits"] < before["entropy_bits"] + BLUNTER_BITS
 
 
 def read_log(log: Log, slam: Slam, progress: Progress, interrupts: Interrupts, findings: Findings) -> None:

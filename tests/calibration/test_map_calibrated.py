@@ -1,0 +1,53 @@
+"""`mfslam map --calibrate auto` on a log whose stamps are late: found, used where the map gets sharper, and told."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from drivers.simulator import RobotModel, laser_model, load_world, simulate
+from drivers.simulator.simulate import without_pose
+from drivers.writers.log import write_log
+from mfslam.cli import main
+from mfslam.commands.map_log import _as_sharp
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of odometry and scans whose stamps are 50 ms late."""
+    laser = dataclasses.replace(laser_model("fast"), stamp_delay_s=0.05)
+    simulation = simulate(load_world("demo"), RobotModel(), laser, seed=1)
+    path = tmp_path_factory.mktemp("late") / "late.mcap"
+    write_log(list(map(without_pose, simulation.messages)), path)
+    return path
+
+
+def config_value(run: Path, key: str) -> float:
+    lines = (run / "config.yaml").read_text().splitlines()
+    (line,) = [line for line in lines if line.strip().startswith(f"{key}:")]
+    return float(line.split(":")[1].split("#")[0])
+
+
+@pytest.mark.parametrize("how", ["auto", "off"])
+def test_late_stamps_are_found_and_the_map_is_made_with_them(late: Path, how: str, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main(["map", str(late), "-o", str(out), "-q", "--calibrate", how]) == 0
+    summary = json.loads((out / "summary.json").read_text())
+    if how == "off":
+        assert "calibration" not in summary
+        return
+    calibration = summary["calibration"]
+    assert calibration["used"] is True
+    assert calibration["found"]["delay"]["found"] == pytest.approx(-0.05, abs=0.003)
+    assert config_value(out, "transport_delay_s") == pytest.approx(-0.05, abs=0.003)
+
+
+def test_a_map_that_gets_blunter_by_either_measure_is_refused() -> None:
+    before = {"cells": 1000.0, "entropy_bits": 10.0}
+    assert _as_sharp({"cells": 990.0, "entropy_bits": 9.9}, before)
+    assert _as_sharp({"cells": 1001.0, "entropy_bits": 10.001}, before)
+    assert not _as_sharp({"cells": 990.0, "entropy_bits": 10.1}, before)
+    assert not _as_sharp({"cells": 1010.0, "entropy_bits": 9.0}, before)
