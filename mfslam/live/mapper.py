@@ -7,7 +7,7 @@ import os
 import resource
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -24,7 +24,7 @@ from mfslam.mapping import render_map
 from mfslam.outcome import leave, outcome_of
 from mfslam.output.growing_map import write_growing_map
 from mfslam.slam import Slam, Solution
-from mfslam.types import Findings, FloatArray, Message, MfslamError, OccupancyGrid, Scan
+from mfslam.types import Edge, Findings, FloatArray, Message, MfslamError, OccupancyGrid, Scan
 
 STANDING_M, STANDING_RAD, ENOUGH_SCANS = 0.01, 0.005, 20  # scans from one spot that the map needs
 STALE_M = 0.3  # a refined pose that the graph has moved by more since is not the better one any more
@@ -89,16 +89,8 @@ class Mapper:
     def _carry_covariance(self) -> None:
         """From keyframe to keyframe, by what ties each to the one before."""
         edges = self.slam.graph.edges
-        steps: dict[int, FloatArray] = {}
-        motions: dict[int, FloatArray] = {}
-        for edge in edges[self._edges_seen :]:
-            if edge.j == edge.i + 1 and edge.kind != "heading":
-                steps[edge.j] = steps.get(edge.j, 0.0) + edge.information
-                motions.setdefault(edge.j, edge.i_T_j)
+        self._covariance = carried(self._covariance, edges[self._edges_seen :])
         self._edges_seen = len(edges)
-        for j, information in sorted(steps.items()):
-            back = se2.adjoint(se2.inverse(motions[j]))
-            self._covariance = back @ self._covariance @ back.T + np.linalg.inv(information)
 
     # --- what is believed ---------------------------------------------------------------------------
 
@@ -189,11 +181,8 @@ class Mapper:
 
     def _take(self, found: Refined, at: FloatArray) -> None:
         self._refined, self._at_refined = found, at
-        self._covariance = found.covariance
-        for edge in self.slam.graph.edges:
-            if edge.j == edge.i + 1 and edge.j >= len(at) and edge.kind == "scan":
-                back = se2.adjoint(se2.inverse(edge.i_T_j))
-                self._covariance = back @ self._covariance @ back.T + np.linalg.inv(edge.information)
+        later = [edge for edge in self.slam.graph.edges[: self._edges_seen] if edge.j >= len(at)]
+        self._covariance = carried(found.covariance, later)
 
     def _as_copy(self, wish: Wish | None) -> Refined:
         nothing = np.zeros((0, 3))
@@ -268,6 +257,20 @@ class Mapper:
 def peak_mb() -> float:
     """What this process held at most until now."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def carried(covariance: FloatArray, edges: Sequence[Edge]) -> FloatArray:
+    """A covariance (3, 3) in the tangent of a keyframe, carried over the steps to the next ones that ``edges`` hold."""
+    steps: dict[int, FloatArray] = {}
+    motions: dict[int, FloatArray] = {}
+    for edge in edges:
+        if edge.j == edge.i + 1 and edge.kind != "heading":
+            steps[edge.j] = steps.get(edge.j, 0.0) + edge.information
+            motions.setdefault(edge.j, edge.i_T_j)
+    for j, information in sorted(steps.items()):
+        back = se2.adjoint(se2.inverse(motions[j]))
+        covariance = back @ covariance @ back.T + np.linalg.inv(information)
+    return covariance
 
 
 def in_world(covariance: FloatArray, pose: FloatArray) -> FloatArray:
