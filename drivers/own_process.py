@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import socket
+import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 
@@ -17,3 +20,22 @@ def environment() -> dict[str, str]:
     home = str(Path(__file__).resolve().parent.parent)
     before = os.environ.get("PYTHONPATH")
     return os.environ | {"PYTHONPATH": home if not before else f"{home}{os.pathsep}{before}"}
+
+
+def start(
+    module: str, further: Mapping[str, str] | None = None
+) -> tuple[subprocess.Popen[bytes], socket.socket]:
+    """The module as a process, told the number of its end of a line, and our end. ``further``: of its environment.
+
+    Not by multiprocessing, which would import the caller's main module again, and with it what that imports. In a session
+    of its own: Ctrl-C is ours to answer.
+    """
+    ours, theirs = socket.socketpair()
+    process = subprocess.Popen(
+        command(module, str(theirs.fileno())),
+        env=environment() | dict(further or {}),
+        pass_fds=(theirs.fileno(),),
+        start_new_session=True,
+    )
+    theirs.close()
+    return process, ours

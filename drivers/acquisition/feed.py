@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from typing import Self
 
 from drivers.acquisition.messages import Ended, Health, Unpacker
 from drivers.acquisition.sources import Sources
-from drivers.own_process import command, environment
+from drivers.own_process import start
 from mfslam.config import Config
 from mfslam.types import Findings, Message, MfslamError
 
@@ -45,15 +44,7 @@ class AcquisitionFeed:
         self.output = output
         self._unpacker = Unpacker()
         self._over = False
-        ours, theirs = socket.socketpair()
-        # not multiprocessing's: it would import the caller's main module again, and with it what that imports
-        self.process = subprocess.Popen(
-            command("drivers.acquisition", str(theirs.fileno())),
-            env=environment(),
-            pass_fds=(theirs.fileno(),),
-            start_new_session=True,  # Ctrl-C is ours to answer
-        )
-        theirs.close()
+        self.process, ours = start("drivers.acquisition")
         self._line = Connection(ours.detach())
         self._line.send(Job(sources, config, output))
 

@@ -14,7 +14,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-from drivers.own_process import command, environment
+from drivers.own_process import start
 from mfslam.live.journal import Journal
 from mfslam.live.words import Job
 from mfslam.types import MfslamError
@@ -66,14 +66,7 @@ class Link:
     # --- inside ---------------------------------------------------------------------------------------
 
     def _start(self) -> None:
-        ours, theirs = socket.socketpair()
-        self.process = subprocess.Popen(
-            command("mfslam.live", str(theirs.fileno())),
-            env=environment() | {"OPENBLAS_NUM_THREADS": "1"},
-            pass_fds=(theirs.fileno(),),
-            start_new_session=True,
-        )
-        theirs.close()
+        self.process, ours = start("mfslam.live", {"OPENBLAS_NUM_THREADS": "1"})
         self._socket, self._line = ours, Connection(os.dup(ours.fileno()))
         self._sent = 0
         self._line.send_bytes(pickle.dumps(self._job))

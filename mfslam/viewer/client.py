@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from drivers.own_process import command, environment
+from drivers.own_process import start
 from mfslam.live.state import LiveState
 from mfslam.types import MfslamError, OccupancyGrid
 from mfslam.viewer.place import Job, Place, address
@@ -91,14 +91,7 @@ class Viewer:
     # --- its process ----------------------------------------------------------------------------------
 
     def _start(self) -> None:
-        ours, theirs = socket.socketpair()
-        self.process = subprocess.Popen(
-            command("mfslam.viewer", str(theirs.fileno())),
-            env=environment(),
-            pass_fds=(theirs.fileno(),),
-            start_new_session=True,  # Ctrl-C is the engine's to answer
-        )
-        theirs.close()
+        self.process, ours = start("mfslam.viewer")
         self._socket, self._line = ours, Connection(os.dup(ours.fileno()))
         self._line.send(self._job)
         try:
