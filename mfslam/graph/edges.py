@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from copy import copy
 
 import numpy as np
 
+from mfslam import se2
 from mfslam.types import BoolArray, Edge, FloatArray, IntArray
 
 LEAST = 1e-6  # information that every edge has, as gtsam's factors do that mfslam makes: 1 km, 1000 rad
@@ -36,6 +38,14 @@ class EdgeArrays:
         self._measured[n], self._information[n] = edge.i_T_j, edge.information
         self._kinds[n] = edge.kind == "loop", edge.kind in ("loop", "scan")
         self._count = n + 1
+
+    def restated(self, numbers: IntArray, poses: FloatArray) -> EdgeArrays:
+        """The same edges, of which those numbered measure what ``poses`` (K, 3) say; compass readings stay."""
+        out = copy(self)
+        out._measured = self._measured.copy()
+        between = numbers[self.ends[numbers, 0] != self.ends[numbers, 1]]
+        out._measured[between] = se2.between(*poses[self.ends[between].T])
+        return out
 
     @property
     def ends(self) -> IntArray:

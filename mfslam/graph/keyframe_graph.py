@@ -16,11 +16,12 @@ from mfslam.graph.least_squares import PoseSolver
 from mfslam.graph.robust_solve import graduated_solve
 from mfslam.kernels import graph_terms
 from mfslam.kernels import poses as pose_kernels
-from mfslam.types import BoolArray, Edge, FloatArray, MfslamError
+from mfslam.types import BoolArray, Edge, FloatArray, IntArray, MfslamError
 from mfslam.uncertainty import chi2_quantile
 
 NEAR_M, NEAR_RAD = 0.1, 0.02  # a loop that contradicts the poses by less can wait for a solve
 GAIN_ON_THE_WAY = 1e-4  # of the error, below which a solve while mapping has arrived
+ADJUSTED_WEIGHT = 10.0  # of what an adjustment says against a single match: it had many scans for each step
 DISPUTE_LEAST, DISPUTE_SHARE = 3, 0.1  # new loops, of all, before the next dispute is settled
 
 
@@ -105,6 +106,24 @@ class PoseGraph:
         if self._is_contradicted:
             self._solve()
         return self._poses.copy()
+
+    def numbers_in_use(self) -> IntArray:
+        """Of the edges, in order."""
+        return np.flatnonzero(self._in_use())
+
+    def loops_among(self, numbers: IntArray) -> IntArray:
+        """Those of these edges that are loops."""
+        return numbers[self._arrays.is_loop[numbers]]
+
+    def solved_with(self, known: IntArray, known_poses: FloatArray, start: FloatArray) -> FloatArray:
+        """(K, 3) poses from ``start`` (K, 3), if the edges numbered ``known`` had measured what ``known_poses`` (K', 3) of
+        the first keyframes say. The graph stays as it is."""
+        arrays, weights = self._arrays.restated(known, known_poses), self._in_use()
+        weights[known] = ADJUSTED_WEIGHT
+        return PoseSolver(arrays, len(self)).solve(
+            start, weights, arrays.is_loop, self.config.loop_kernel_sigmas,
+            relative_gain=GAIN_ON_THE_WAY,
+        )  # fmt: skip
 
     def relative_covariance(self, i: int, j: int) -> FloatArray:
         """(3, 3) covariance of i_T_j, in its tangent, from the joint marginal of both poses."""

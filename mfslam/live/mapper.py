@@ -19,28 +19,28 @@ import numpy as np
 from drivers.base import LogInfo
 from mfslam import se2
 from mfslam.config import Config
+from mfslam.live.belief import Belief, Refined
 from mfslam.live.words import Corrected, Finish, Finished, Granted, Wish
 from mfslam.mapping import render_map
 from mfslam.outcome import leave, outcome_of
 from mfslam.output.growing_map import write_growing_map
 from mfslam.slam import Slam, Solution
-from mfslam.types import Edge, Findings, FloatArray, Message, MfslamError, OccupancyGrid, Scan
+from mfslam.types import Edge, Findings, FloatArray, IntArray, Message, MfslamError, OccupancyGrid, Scan
 
 STANDING_M, STANDING_RAD, ENOUGH_SCANS = 0.01, 0.005, 20  # scans from one spot that the map needs
-STALE_M = 0.3  # a refined pose that the graph has moved by more since is not the better one any more
 NICE = 10  # of the copies
 
 
 @dataclass(frozen=True, eq=False)
-class Refined:
-    """What a copy of the engine found: keyframes (K, 3), all scans until then (S, 3) at their stamps, covariance (3, 3)
-    of the last keyframe, the map."""
+class _Copy:
+    """A copy at work: the line from it, its process, keyframes and edges in use when it began, whose wish it is."""
 
-    keyframes: FloatArray
-    scans: FloatArray
-    covariance: FloatArray
-    grid: OccupancyGrid | None
-    error: str | None = None
+    line: Connection
+    pid: int
+    keyframes: int
+    edges: IntArray
+    wish: Wish | None
+    started_s: float
 
 
 class Mapper:
@@ -50,13 +50,12 @@ class Mapper:
         self.config, self.folder = config, folder
         self.slam = Slam(config)
         self._numbers: list[int] = []  # of the scans that were fed
-        self._refined: Refined | None = None
-        self._at_refined: FloatArray | None = None  # the graph's poses of those keyframes at that time
+        self._belief = Belief()
         self._covariance = np.zeros((3, 3))  # of the newest keyframe, in its tangent
         self._edges_seen = 0
         self._kept_at: FloatArray | None = None
         self._kept = 0
-        self._copies: list[tuple[Connection, int, int, FloatArray, Wish | None, float]] = []
+        self._copies: list[_Copy] = []
         self._blank: dict[int, Any] = {}
         self._start_mb = 0.0
 
@@ -95,25 +94,12 @@ class Mapper:
     # --- what is believed ---------------------------------------------------------------------------
 
     def keyframes(self) -> FloatArray:
-        """(K, 3) world_T_body: as refined where they were and the graph has not moved since, carried on from there."""
-        poses = self.slam.graph.rough_poses() if len(self.slam.keyframes) else np.zeros((0, 3))
-        if self._refined is None or self._at_refined is None:
-            return poses
-        known = len(self._refined.keyframes)
-        moved = se2.between(self._at_refined, poses[:known])
-        if np.hypot(moved[:, 0], moved[:, 1]).max(initial=0.0) > STALE_M:
-            self._refined = self._at_refined = None
-            return poses
-        onto = se2.compose(self._refined.keyframes[-1], se2.inverse(poses[known - 1]))
-        return np.concatenate([self._refined.keyframes, se2.compose(onto, poses[known:])])
+        """(K, 3) world_T_body: as refined, those that came since tied on."""
+        return self._belief.keyframes(self.slam.graph)
 
     def trajectory(self) -> FloatArray:
         """(S, 3) world_T_body of every scan at its stamp, as far as it is known now."""
-        poses = self.slam.trajectory(self.keyframes())
-        if self._refined is not None:
-            last = self.slam.keyframes[len(self._refined.keyframes) - 1].scan_index
-            poses[: last + 1] = self._refined.scans[: last + 1]
-        return poses
+        return self._belief.trajectory(self.slam)
 
     def corrected(self, notes: list[str]) -> Corrected | None:
         """Where the newest placed scan is; None before the first."""
@@ -155,33 +141,31 @@ class Mapper:
             finally:
                 os._exit(status)
         theirs.close()
-        count = len(self.slam.keyframes)
-        poses = self.slam.graph.rough_poses()[:count]
-        self._copies.append((ours, child, count, poses, wish, time.monotonic()))
+        edges = self.slam.graph.numbers_in_use()
+        self._copies.append(_Copy(ours, child, len(self.slam.keyframes), edges, wish, time.monotonic()))
 
     def harvest(self) -> list[tuple[Refined | None, Wish | None, float]]:
         """Copies that have ended: what they found (None of one that died), whose wish it was, how long it took."""
         out = []
         for copy in list(self._copies):
-            line, child, count, poses, wish, started_s = copy
-            if not line.poll(0):
+            if not copy.line.poll(0):
                 continue
             try:
-                found: Refined | None = line.recv()
+                found: Refined | None = copy.line.recv()
             except (EOFError, OSError):
                 found = None
-            line.close()
-            os.waitpid(child, 0)
+            copy.line.close()
+            os.waitpid(copy.pid, 0)
             self._copies.remove(copy)
             if found is not None and found.error is None:
                 # the copy has placed the scan that was waiting, too
-                self._take(replace(found, keyframes=found.keyframes[:count]), poses)
-            out.append((found, wish, time.monotonic() - started_s))
+                self._take(replace(found, keyframes=found.keyframes[: copy.keyframes]), copy.edges)
+            out.append((found, copy.wish, time.monotonic() - copy.started_s))
         return out
 
-    def _take(self, found: Refined, at: FloatArray) -> None:
-        self._refined, self._at_refined = found, at
-        later = [edge for edge in self.slam.graph.edges[: self._edges_seen] if edge.j >= len(at)]
+    def _take(self, found: Refined, edges: IntArray) -> None:
+        self._belief.take(found, edges)
+        later = [edge for edge in self.slam.graph.edges[: self._edges_seen] if edge.j >= len(found.keyframes)]
         self._covariance = carried(found.covariance, later)
 
     def _as_copy(self, wish: Wish | None) -> Refined:
@@ -217,9 +201,9 @@ class Mapper:
 
     def finish(self, word: Finish, tell: Callable[[str], None], enough: type[Exception]) -> Finished:
         """The final solve and the folder. ``tell`` may raise ``enough``: then it is written as it stands."""
-        for _, child, *_ in self._copies:
-            os.kill(child, 9)
-            os.waitpid(child, 0)
+        for copy in self._copies:
+            os.kill(copy.pid, 9)
+            os.waitpid(copy.pid, 0)
         slam, interrupted, mapped_mb = self.slam, False, peak_mb()
         slam.place_last()
         if not slam.scans:
