@@ -115,6 +115,10 @@ class PoseGraph:
         """Those of these edges that are loops."""
         return numbers[self._arrays.is_loop[numbers]]
 
+    def satisfied(self, numbers: IntArray, world_T_body: FloatArray) -> BoolArray:
+        """Which of these edges poses (K', 3) of the first keyframes satisfy as a loop in use has to be."""
+        return ~self._arrays.are_off(numbers, world_T_body, self.config)
+
     def solved_with(self, known: IntArray, known_poses: FloatArray, start: FloatArray) -> FloatArray:
         """(K, 3) poses from ``start`` (K, 3), if the edges numbered ``known`` had measured what ``known_poses`` (K', 3) of
         the first keyframes say. The graph stays as it is."""
@@ -264,10 +268,7 @@ class PoseGraph:
     def _violated(self, edges: EdgeArrays) -> BoolArray:
         """(E,) which edges are loops off by more than one in use may be, at the poses as they stand."""
         out, loops = np.zeros(len(edges), np.bool_), np.flatnonzero(edges.is_loop)
-        i, j = edges.ends[loops].T
-        error = se2.between(edges.measured[loops], se2.between(self._poses[i], self._poses[j]))
-        limit_m, limit_rad = self.config.loop_satisfied_m, math.radians(self.config.loop_satisfied_deg)
-        out[loops] = (np.hypot(error[:, 0], error[:, 1]) > limit_m) | (np.abs(error[:, 2]) > limit_rad)
+        out[loops] = edges.are_off(loops, self._poses, self.config)
         return out
 
     def _decide(self, edges: EdgeArrays, believed: BoolArray) -> FloatArray:

@@ -45,9 +45,12 @@ class Belief:
     def keyframes(self, graph: PoseGraph) -> FloatArray:
         """(K, 3) world_T_body of all keyframes of ``graph``, which has grown since."""
         in_use = graph.numbers_in_use()
-        if not np.isin(self._known, in_use).all():  # it believed a loop that has been found wrong since
-            self._refined, self._known = None, np.zeros(0, np.int64)
+        taken_out = np.setdiff1d(self._known, in_use, assume_unique=True)
+        self._known = np.setdiff1d(self._known, taken_out, assume_unique=True)
         if self._refined is None:
+            return graph.rough_poses()
+        if graph.satisfied(taken_out, self._refined.keyframes).any():  # it believed what was found wrong since
+            self._refined = None
             return graph.rough_poses()
         poses, count = graph.rough_poses(), len(self._poses)
         onto = se2.compose(self._poses[-1], se2.inverse(poses[count - 1]))
