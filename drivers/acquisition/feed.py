@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -14,7 +12,7 @@ from typing import Self
 
 from drivers.acquisition.messages import Ended, Health, Unpacker
 from drivers.acquisition.sources import Sources
-from drivers.own_process import start
+from drivers.own_process import OwnProcess
 from mfslam.config import Config
 from mfslam.types import Findings, Message, MfslamError
 
@@ -44,8 +42,8 @@ class AcquisitionFeed:
         self.output = output
         self._unpacker = Unpacker()
         self._over = False
-        self.process, ours = start("drivers.acquisition")
-        self._line = Connection(ours.detach())
+        self.process = OwnProcess("drivers.acquisition")
+        self._line = self.process.line
         self._line.send(Job(sources, config, output))
 
     def poll(self, timeout_s: float) -> Message | None:
@@ -101,16 +99,10 @@ class AcquisitionFeed:
             if kind is None:
                 self.findings.add("acquisition-failed", str(trouble))
         finally:
-            self._line.close()
-            try:
-                self.process.wait(LEAVE_S)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait()
+            self.process.end(LEAVE_S)
 
     def _obituary(self) -> str:
-        code = self.process.wait()
-        how = f"was killed ({signal.Signals(-code).name})" if code < 0 else f"ended with status {code}"
+        how = self.process.how_it_ended()
         kept = "" if self.output is None else f"; {self.output} holds all but the last second"
         return f"the acquisition process {how}{kept}"
 

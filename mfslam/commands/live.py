@@ -97,6 +97,7 @@ class Drive:
                 self._follow(slam, watching, ends)
             finally:
                 status.close()
+            watching.solving()
             status.tell("the final solve ... (Ctrl-C: leave at once, with what is on disk)")
             finished = slam.finish(
                 self.folder,

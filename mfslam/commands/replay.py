@@ -46,10 +46,12 @@ def run(args: argparse.Namespace) -> int:
         slam = stack.enter_context(LiveSlam(config, args.output, args.map_every, progress.tell))
         watching = Watching(slam, StatusLine(quiet=True), args.output, viewer)
         told = replay(log, slam, speed, progress, interrupts, lambda: watching.look([]))
+        watching.solving()
         finished = slam.finish(
             args.output, args.log, log.info.format, log.findings, progress.tell, lambda: interrupts.count > 1
         )
         clear_growing_maps(args.output)
+        watching.show_last(slam.state())
         leave_online(args.output, finished, told, slam.state())
     if not args.quiet:
         say(finished, slam.state(), args.output)

@@ -52,9 +52,15 @@ class Watching:
                 self.status.tell(f"note: {note}")
         self.status.show(lambda: self._figures(health))
 
+    def solving(self) -> None:
+        """Nothing moves any more, though it is not the end."""
+        if self.viewer is not None:
+            self.viewer.end("the drive is over: solving the whole map")
+
     def show_last(self, state: LiveState) -> None:
         if self.viewer is not None:
             self.viewer.show(state)
+            self.viewer.end(f"ended, saved in {self.folder}/")
 
     def _look_after_wishes(self, viewer: Viewer) -> None:
         wish = viewer.wish()

@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 
-from mfslam import se2
 from mfslam.config import GraphConfig
 from mfslam.graph.edges import LEAST, EdgeArrays
 from mfslam.graph.joint_marginals import JointMarginals

@@ -49,8 +49,8 @@ class Belief:
         self._known = np.setdiff1d(self._known, taken_out, assume_unique=True)
         if self._refined is None:
             return graph.rough_poses()
-        if graph.satisfied(taken_out, self._refined.keyframes).any():  # it believed what was found wrong since
-            self._refined = None
+        if graph.satisfied(taken_out, self._refined.keyframes).any():
+            self._refined = None  # it believed what was found wrong since
             return graph.rough_poses()
         poses, count = graph.rough_poses(), len(self._poses)
         onto = se2.compose(self._poses[-1], se2.inverse(poses[count - 1]))

@@ -323,6 +323,7 @@ class LiveSlam:
                 self._granted[word.number] = word
             elif isinstance(word, Finished):
                 self._finished = word
+                self.grid = word.grid or self.grid
             elif isinstance(word, Told):
                 self._tell(word.text)
             self._heard.notify_all()

@@ -3,18 +3,12 @@ takes all of it again."""
 
 from __future__ import annotations
 
-import os
 import pickle
-import signal
-import socket
-import subprocess
 import threading
 from collections.abc import Callable
-from contextlib import suppress
-from multiprocessing.connection import Connection
 from typing import Any
 
-from drivers.own_process import start
+from drivers.own_process import OwnProcess
 from mfslam.live.journal import Journal
 from mfslam.live.words import Job
 from mfslam.types import MfslamError
@@ -55,56 +49,35 @@ class Link:
         self._closing = True
         self.journal.wake()
         self._sender.join(LEAVE_S)
-        self._hang_up()
-        try:
-            self.process.wait(LEAVE_S)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
+        self.process.end(LEAVE_S)
         self.journal.close()
 
     # --- inside ---------------------------------------------------------------------------------------
 
     def _start(self) -> None:
-        self.process, ours = start("mfslam.live", {"OPENBLAS_NUM_THREADS": "1"})
-        self._socket, self._line = ours, Connection(os.dup(ours.fileno()))
+        self.process = OwnProcess("mfslam.live", {"OPENBLAS_NUM_THREADS": "1"})
         self._sent = 0
-        self._line.send_bytes(pickle.dumps(self._job))
-        threading.Thread(
-            target=self._listen, args=(self._line,), daemon=True, name="from the back end"
-        ).start()
-
-    def _hang_up(self) -> None:
-        with suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)  # wakes whoever reads or writes, which closing would not
-        self._socket.close()
-
-    def _listen(self, line: Connection) -> None:
-        try:
-            while True:
-                self._hear(line.recv())
-        except (EOFError, OSError, pickle.UnpicklingError):
-            self.journal.wake()
+        self.process.line.send_bytes(pickle.dumps(self._job))
+        self.process.listen(self._hear, gone=self.journal.wake)
 
     def _send(self) -> None:
         while not self._closing:
             try:
-                if self.process.poll() is not None:
+                if self.process.has_ended:
                     raise BrokenPipeError
                 while self._urgent:
-                    self._line.send_bytes(pickle.dumps(self._urgent.pop(0)))
+                    self.process.line.send_bytes(pickle.dumps(self._urgent.pop(0)))
                 if self.journal.wait_beyond(self._sent, LOOK_UP_S) and not self._closing:
                     data, following = self.journal.read(self._sent)
-                    self._line.send_bytes(data)
+                    self.process.line.send_bytes(data)
                     self._sent = following
             except OSError:
                 if self._closing or not self._revive():
                     return
 
     def _revive(self) -> bool:
-        self._hang_up()
-        code = self.process.wait()
-        how = f"was killed ({signal.Signals(-code).name})" if code < 0 else f"ended with status {code}"
+        self.process.end(LEAVE_S)
+        how = self.process.how_it_ended()
         if self.restarts >= MOST_RESTARTS:
             self.trouble = (
                 f"the process that maps {how} for the {self.restarts + 1}th time: it is not started again"

@@ -227,6 +227,7 @@ class Mapper:
             solution.stamps_ns,
             online,
             solution.world_T_body,
+            outcome.result.grid,
             (self._start_mb, mapped_mb, peak_mb()),
         )
 

@@ -95,7 +95,7 @@ class Finished:
     """The end: `Outcome.summary` and the findings in words, or the error in one line.
 
     ``stamps_ns`` (S,), ``online`` (S, 3): every scan as the graph had it before the final solve; ``world_T_body`` (S, 3)
-    after it. ``memory_mb``: of the back end, when the first scan came, before the final solve, and at most.
+    after it. ``grid``: the map. ``memory_mb``: of the back end, when the first scan came, before the final solve, and at most.
     """
 
     summary: dict[str, Any] = field(default_factory=dict)
@@ -103,5 +103,6 @@ class Finished:
     stamps_ns: IntArray | None = None
     online: FloatArray | None = None
     world_T_body: FloatArray | None = None
+    grid: OccupancyGrid | None = None
     memory_mb: tuple[float, float, float] = (0.0, 0.0, 0.0)
     error: str | None = None

@@ -35,11 +35,12 @@ def main(fd: int) -> int:
     threading.Thread(target=server.serve_forever, daemon=True).start()
     line.send(("ready", server.server_address[1]))
     _listen(line, hub)
+    server.let_go()
     return 0
 
 
 def _listen(line: Connection, hub: Hub) -> None:
-    """States and answers, until whoever sends them has gone."""
+    """States, answers and last words, until whoever sends them has gone."""
     with suppress(EOFError, OSError):
         while True:
             what, *more = line.recv()
@@ -47,6 +48,8 @@ def _listen(line: Connection, hub: Hub) -> None:
                 hub.show(hub.snapshot.followed_by(*more))
             elif what == "answer":
                 hub.answered(*more)
+            elif what == "over":
+                hub.end(*more)
 
 
 if __name__ == "__main__":

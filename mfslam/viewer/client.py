@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import secrets
-import signal
-import socket
-import subprocess
 import threading
 import time
 from collections import deque
-from contextlib import suppress
 from dataclasses import replace
-from multiprocessing.connection import Connection
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from drivers.own_process import start
+from drivers.own_process import OwnProcess
 from mfslam.live.state import LiveState
 from mfslam.types import MfslamError, OccupancyGrid
 from mfslam.viewer.place import Job, Place, address
@@ -25,6 +19,7 @@ from mfslam.viewer.place import Job, Place, address
 START_S = 60.0
 PAUSE_S = 1.0  # before a viewer that has died is started again
 MOST_RESTARTS = 20
+LEAVE_S = 3.0
 
 
 class Viewer:
@@ -40,7 +35,7 @@ class Viewer:
         self._job = Job(place, token, {"mode": "live", "title": title, "save": True}, folder)
         self._wake = threading.Condition()
         self._state: LiveState | None = None
-        self._answers: deque[tuple[int, dict[str, Any]]] = deque()
+        self._words: deque[tuple[Any, ...]] = deque()
         self._wishes: deque[int] = deque()
         self._closing = False
         self.restarts = 0
@@ -65,7 +60,13 @@ class Viewer:
     def answer(self, wish: int, text: str | None = None, error: str | None = None) -> None:
         """What came of a wish, in words."""
         with self._wake:
-            self._answers.append((wish, {"error": error} if error is not None else {"text": text}))
+            self._words.append(("answer", wish, {"error": error} if error is not None else {"text": text}))
+            self._wake.notify()
+
+    def end(self, why: str) -> None:
+        """Nothing new will come, or not soon: ``why``, in words, stands on the page from then on."""
+        with self._wake:
+            self._words.append(("over", why))
             self._wake.notify()
 
     def close(self) -> None:
@@ -73,12 +74,7 @@ class Viewer:
             self._closing = True
             self._wake.notify()
         self._thread.join(2.0)
-        self._hang_up()  # the process ends by that
-        try:
-            self.process.wait(3.0)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
+        self.process.end(LEAVE_S)
 
     def __enter__(self) -> Self:
         return self
@@ -86,41 +82,28 @@ class Viewer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if isinstance(error, MfslamError):
+            self.end(f"ended: {error}")
         self.close()
 
     # --- its process ----------------------------------------------------------------------------------
 
     def _start(self) -> None:
-        self.process, ours = start("mfslam.viewer")
-        self._socket, self._line = ours, Connection(os.dup(ours.fileno()))
-        self._line.send(self._job)
+        process = self.process = OwnProcess("mfslam.viewer")
+        process.line.send(self._job)
         try:
-            word, value = self._line.recv() if self._line.poll(START_S) else ("failed", "no word in time")
+            word, value = process.line.recv() if process.line.poll(START_S) else ("failed", "no word in time")
         except (EOFError, OSError):
-            word, value = "failed", f"the viewer's process {self._how_it_ended()}"
+            word, value = "failed", f"the viewer's process {process.how_it_ended()}"
         if word != "ready" or not isinstance(value, int):
-            self._socket.close()
-            self._line.close()
-            self.process.kill()
-            self.process.wait()
+            process.end()
             raise MfslamError(str(value))
         self._job = replace(self._job, place=replace(self._job.place, port=value))
-        threading.Thread(target=self._listen, args=(self._line,), daemon=True).start()
+        process.listen(lambda wish: self._wishes.append(wish[1]), gone=self._notify)
 
-    def _hang_up(self) -> None:
-        with suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)  # wakes whoever reads or writes, which closing would not
-        self._socket.close()
-
-    def _listen(self, line: Connection) -> None:
-        """Wishes, until the process has gone; the feeding thread is told of that."""
-        try:
-            while True:
-                _, number = line.recv()
-                self._wishes.append(number)
-        except (EOFError, OSError):
-            with self._wake:
-                self._wake.notify()
+    def _notify(self) -> None:
+        with self._wake:
+            self._wake.notify()
 
     def _feed(self) -> None:
         grid: OccupancyGrid | None = None  # what the process has
@@ -128,39 +111,38 @@ class Viewer:
         while True:
             with self._wake:
                 self._wake.wait_for(self._something_to_do, 1.0)
-                if self._closing:
-                    return
-                state, self._state = self._state, None
-                answers, self._answers = self._answers, deque()
+                closing, state, self._state = self._closing, self._state, None
+                words, self._words = self._words, deque()
             try:
-                for number, answer in answers:
-                    self._line.send(("answer", number, answer))
                 if state is not None:
                     last = state
-                    self._line.send(("state", replace(state, grid=None) if state.grid is grid else state))
+                    self.process.line.send(
+                        ("state", replace(state, grid=None) if state.grid is grid else state)
+                    )
                     grid = state.grid
-                if self.process.poll() is not None:
+                for word in words:
+                    self.process.line.send(word)
+                if self.process.has_ended:
                     raise BrokenPipeError
             except OSError:
-                if not self._revive():
+                if closing or not self._revive():
                     return
                 grid = None
                 self._state = self._state or last
+            if closing:
+                return
 
     def _something_to_do(self) -> bool:
-        return (
-            self._state is not None or bool(self._answers) or self._closing or self.process.poll() is not None
-        )
+        return self._state is not None or bool(self._words) or self._closing or self.process.has_ended
 
     def _revive(self) -> bool:
         """Start the process again; False when that is over."""
-        self.process.wait()
-        how = self._how_it_ended()
+        how = self.process.how_it_ended()
         while not self._closing and self.restarts < MOST_RESTARTS:
             self.restarts += 1
             self.trouble = f"the viewer's process {how}: it is started again"
             time.sleep(PAUSE_S)
-            self._hang_up()
+            self.process.end()
             try:
                 self._start()
             except MfslamError as error:
@@ -170,7 +152,3 @@ class Viewer:
             return True
         self.trouble = f"the viewer's process {how}: it is not started again; mapping goes on without it"
         return False
-
-    def _how_it_ended(self) -> str:
-        code = self.process.wait()
-        return f"was killed ({signal.Signals(-code).name})" if code < 0 else f"ended with status {code}"

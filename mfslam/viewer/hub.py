@@ -25,6 +25,7 @@ class Hub:
         self._answers: dict[int, Answer] = {}
         self._asked = 0
         self.over: str | None = None
+        self.closing = False  # browsers are told what there is and let go
 
     @property
     def can_save(self) -> bool:
@@ -41,9 +42,15 @@ class Hub:
             self._changed.notify_all()
 
     def end(self, why: str) -> None:
-        """Nothing new will come; ``why`` in words."""
+        """Nothing new will come, or not soon; ``why`` in words."""
         with self._changed:
             self.over = why
+            self._number += 1
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        with self._changed:
+            self.closing = True
             self._number += 1
             self._changed.notify_all()
 

@@ -28,6 +28,7 @@ from mfslam.viewer.snapshot import Has, news
 
 LEAST_STEP_S = 0.06  # between two events to one browser
 HEARTBEAT_S = 1.0
+FAREWELL_S = 1.0
 PATIENCE_S = 20.0  # with a browser that does not read
 MOST_BROWSERS = 50
 SEND_BUFFER_BYTES = 65_536  # what a slow line holds back is stale: little of it
@@ -77,6 +78,13 @@ class Server(ThreadingHTTPServer):
                 f"the viewer cannot listen at {place.bind}, port {place.port}: {why}; name another one, or port 0 "
                 "for any that is free"
             ) from None
+
+    def let_go(self) -> None:
+        """Every browser is told the last there is, unless it does not read."""
+        self.show.hub.close()
+        end_s = time.monotonic() + FAREWELL_S
+        while self.browsers and time.monotonic() < end_s:
+            time.sleep(0.01)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A browser that has gone is no news; anything else is a fault of ours and is told."""
@@ -239,8 +247,10 @@ class Handler(BaseHTTPRequestHandler):
         """Until the browser goes: at once all there is, then what differs from what it has."""
         show, has, number = self.server.show, Has(), -1
         self._event({"hello": show.hello})
-        while True:
+        closing = False
+        while not closing:
             number, snapshot = show.hub.newest(number, HEARTBEAT_S)
+            closing = show.hub.closing
             event = news(snapshot, has)
             event["browsers"] = self.server.browsers
             if show.hub.over is not None:

@@ -225,7 +225,7 @@ def read_until_killed(path: Path, got: list[Message]) -> None:
             message = feed.poll(1.0)
             got += [] if message is None else [message]
         assert {s["connected"] for s in feed.health.sensors} == {True}
-        feed.process.kill()
+        os.kill(feed.process.pid, signal.SIGKILL)
         while True:
             feed.poll(1.0)
 
@@ -270,7 +270,7 @@ def test_a_stop_ends_the_feed_with_a_whole_recording(tmp_path: Path) -> None:
         assert feed.over
     recorded, findings = read(path)
     assert len(recorded) == count and "salvaged" not in findings
-    assert feed.process.returncode == 0
+    assert feed.process.end() == 0
 
 
 # --- faults on the line -------------------------------------------------------------------------------

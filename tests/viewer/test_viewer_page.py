@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -183,7 +185,7 @@ def test_several_look_on_and_a_lost_viewer_is_found_again(browser: Any, drive: D
     for window in (browser.current_window_handle, first):
         browser.switch_to.window(window)
         wait_until(browser, "return mfslam.tiles.loaded >= 4 && mfslam.model.poses > 3")
-    drive.viewer.process.kill()
+    os.kill(drive.viewer.process.pid, signal.SIGKILL)
     link = "return document.getElementById('link').textContent"
     wait_until(browser, link, good=lambda text: "no connection" in text)
     poses = browser.execute_script("return mfslam.model.poses")

@@ -180,7 +180,7 @@ def test_a_wish_to_save_is_answered_and_a_killed_viewer_comes_back(tmp_path: Pat
         viewer.answer(wish, text="written to OUT/")
         asking.join(10)
         assert json.loads(answers[0]) == {"text": "written to OUT/"}
-        viewer.process.kill()
+        os.kill(viewer.process.pid, signal.SIGKILL)
         wait_for(lambda: viewer.restarts == 1 and "started again; mapping went on" in (viewer.trouble or ""))
         assert "SIGKILL" in (viewer.trouble or "")
         # at the same address, and with all there was, though nothing new has come
@@ -189,7 +189,7 @@ def test_a_wish_to_save_is_answered_and_a_killed_viewer_comes_back(tmp_path: Pat
 
 def test_a_viewer_that_hangs_holds_up_nothing(tmp_path: Path) -> None:
     viewer = Viewer(ANY, "robot", tmp_path)
-    viewer.process.send_signal(signal.SIGSTOP)
+    os.kill(viewer.process.pid, signal.SIGSTOP)
     grid = room(60.0)  # more than any buffer of a socket takes
     began_s = time.monotonic()
     for k in range(100):
@@ -197,7 +197,7 @@ def test_a_viewer_that_hangs_holds_up_nothing(tmp_path: Path) -> None:
         time.sleep(0.005)
     assert time.monotonic() - began_s < 5.0
     viewer.close()
-    assert viewer.process.returncode == -signal.SIGKILL
+    assert viewer.process.end() == -signal.SIGKILL
 
 
 def test_the_viewer_ends_with_whoever_started_it(tmp_path: Path) -> None:

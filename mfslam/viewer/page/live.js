@@ -39,17 +39,16 @@ export class Stream {
     this.watch();
   }
 
-  // Say how the connection fares; a stream that is dead without saying so is begun anew.
+  // Say how the connection fares, or how the run ended; a stream that is dead without saying so is begun anew.
   watch() {
     const now = performance.now(), silent = now - this.heardMs, still = now - this.movedMs;
     if (!this.stream) return;
-    if (this.stream.readyState === EventSource.CLOSED || silent > 4 * SILENT_MS) {
+    const closed = this.stream.readyState === EventSource.CLOSED || silent > 4 * SILENT_MS;
+    if (closed && silent > SILENT_MS) this.open();
+    if (this.over) {
+      this.on.link(this.over, "wait");
+    } else if (closed || this.stream.readyState === EventSource.CONNECTING || silent > SILENT_MS) {
       this.on.link("no connection: trying again", "bad");
-      if (silent > SILENT_MS) this.open();
-    } else if (this.stream.readyState === EventSource.CONNECTING || silent > SILENT_MS) {
-      this.on.link("no connection: trying again", "bad");
-    } else if (this.over) {
-      this.on.link(this.over, "warn");
     } else if (this.mode === "run") {
       this.on.link("finished run", "wait");
     } else if (still > STALE_MS) {
