@@ -2,7 +2,7 @@
 """Pose graphs: optima and certificates, false loops against every kernel, speed beside plain gtsam.
 
 scripts/benchmark_graphs.py                                  # all tables on the terminal
-scripts/benchmark_graphs.py --markdown docs/benchmarks.md --json graphs.json
+scripts/benchmark_graphs.py --markdown docs/benchmarks.md --json graphs.json    # row by row, as they come
 scripts/benchmark_graphs.py --only optima --only speed
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarking.graph_optima import optima_table
@@ -19,13 +19,12 @@ from benchmarking.graph_speed import speed_table
 from benchmarking.page import machine, write_markdown
 from benchmarking.tables import Table
 
-from mfslam.evaluation.tables import as_text
 from mfslam.output import json_text, write_atomically
 from mfslam.types import MfslamError
 
 ROOT = Path(__file__).resolve().parent.parent
-MARKER = "graphs"
-TABLES: dict[str, tuple[str, Callable[[Path], Table]]] = {
+# by name, which is that of its markers in the page too: title, rows
+TABLES: dict[str, tuple[str, Callable[[Path], Iterator[list[str]]]]] = {
     "optima": ("Pose graphs: optima and certificates", optima_table),
     "outliers": ("Pose graphs with false loops: ATE in m (false loops believed)", outlier_table),
     "speed": ("Pose graphs: CPU seconds beside plain gtsam", speed_table),
@@ -46,20 +45,28 @@ def main() -> int:
             raise MfslamError(
                 f"{options.data / 'pose_graphs'}: no such folder of graphs; give one with --data"
             )
-        tables = []
+        tables: dict[str, Table] = {}
         for name in options.only or TABLES:
             title, make = TABLES[name]
-            tables.append((title, make(options.data / "pose_graphs")))
-            print(f"\n{title}\n\n{as_text(tables[-1][1])}", flush=True)
-        if options.json:
-            write_atomically(options.json, json_text({"machine": machine(), "tables": dict(tables)}).encode())
-        if options.markdown:
-            command = " ".join(["scripts/benchmark_graphs.py", *sys.argv[1:]])
-            write_markdown(options.markdown, tables, command, MARKER)
+            print(f"\n{title}\n", flush=True)
+            tables[title] = []
+            for row in make(options.data / "pose_graphs"):
+                tables[title].append(row)
+                print(" | ".join(row), flush=True)
+                write(options, name, title, tables)
     except MfslamError as error:
         print(f"benchmark_graphs: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def write(options: argparse.Namespace, name: str, title: str, tables: dict[str, Table]) -> None:
+    """What there is of the tables, after every row: some take an hour."""
+    if options.json:
+        write_atomically(options.json, json_text({"machine": machine(), "tables": tables}).encode())
+    if options.markdown:
+        command = " ".join(["scripts/benchmark_graphs.py", *sys.argv[1:]])
+        write_markdown(options.markdown, [(title, tables[title])], command, f"graphs-{name}")
 
 
 if __name__ == "__main__":

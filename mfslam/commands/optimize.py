@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from mfslam.graph.batch import Solution, solve
+from mfslam.graph.certificate import Certificate, certify
+from mfslam.graph.chordal import chordal_start
 from mfslam.graph.incremental import IncrementalRun, solve_incrementally
 from mfslam.graph.robust import solve_robust
 from mfslam.output import check_writable, json_text, write_atomically
 from mfslam.output.g2o import graph_file_text
 from mfslam.output.graph_reader import read_graph
-from mfslam.pose_graphs.certificate import Certificate, certify
-from mfslam.pose_graphs.chordal import chordal_start
 from mfslam.pose_graphs.data import GraphFile, Problem, components, problem_of
 from mfslam.types import FloatArray, IntArray, MfslamError
 

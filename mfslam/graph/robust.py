@@ -30,7 +30,7 @@ _SEEN = (0.5, 0.95)  # shares of the loops whose chi2 tells how wide the noise i
 _EXPECTED = chi2_distribution.ppf(_SEEN, 3)
 _HEAT = 10.0  # times LIMIT
 _ROUNDS = 3
-_SPARE = 5.0  # noise of real loops has wider tails than most of them tell
+_SPARE = 3.0  # noise of real loops has wider tails than most of them tell
 _NARROWEST = 1e-3  # of LIMIT
 _SAME = 1.3  # ratio of two limits that are one
 

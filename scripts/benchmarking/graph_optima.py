@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import gtsam
 
 from benchmarking.runs import say
-from benchmarking.tables import Table
 from mfslam.graph.batch import solve
+from mfslam.graph.certificate import certify
+from mfslam.graph.chordal import chordal_start
 from mfslam.output import read_graph
-from mfslam.pose_graphs.certificate import certify
-from mfslam.pose_graphs.chordal import chordal_start
 from mfslam.pose_graphs.data import Problem, problem_of
 
 GTSAM_DATA = Path(gtsam.__file__).parent / "Data"
@@ -33,9 +33,9 @@ def read_problem(folder: Path, file: str) -> Problem:
     return problem_of(read_graph(folder / file))[0]
 
 
-def optima_table(folder: Path) -> Table:
-    rows = [["graph", "poses", "edges", "chi2", "best known", "of the file's poses", "of the chordal start",
-             "lower bound", "certified", "solve CPU s", "certificate CPU s"]]  # fmt: skip
+def optima_table(folder: Path) -> Iterator[list[str]]:
+    yield ["graph", "poses", "edges", "chi2", "best known", "of the file's poses", "of the chordal start",
+           "lower bound", "certified", "solve CPU s", "certificate CPU s"]  # fmt: skip
     for name, (file, known) in GRAPHS.items():
         say(name)
         problem = read_problem(folder, file)
@@ -48,11 +48,10 @@ def optima_table(folder: Path) -> Table:
         solution = solve(problem, chordal if at_chordal < at_file else problem.world_T_pose)
         began = time.process_time()
         certificate = certify(problem, solution.world_T_pose)
-        rows.append([
+        yield [
             name, f"{problem.size:,}", f"{len(problem.i):,}", f"{certificate.chi2:.4f}", f"{known}" if known else "-",
             f"{at_file:.4g}", f"{at_chordal:.4g}",
             "-" if certificate.lower_bound is None else f"{certificate.lower_bound:.4f}",
             "yes" if certificate.certified else "no", f"{start_s + solution.cpu_s:.2f}",
             f"{time.process_time() - began:.2f}",
-        ])  # fmt: skip
-    return rows
+        ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,12 @@ import numpy as np
 from benchmarking.false_loops import Kind, with_false_loops
 from benchmarking.graph_optima import read_problem
 from benchmarking.runs import say
-from benchmarking.tables import Table
 from mfslam import se2
 from mfslam.commands.optimize import KERNEL_SIGMAS
 from mfslam.graph.batch import Solution, solve
+from mfslam.graph.chordal import chordal_start
 from mfslam.graph.robust import dead_reckoning, solve_robust
 from mfslam.metrics import ate
-from mfslam.pose_graphs.chordal import chordal_start
 from mfslam.pose_graphs.data import Problem
 from mfslam.types import BoolArray, FloatArray, MfslamError
 
@@ -27,21 +27,20 @@ _ITERATIONS = 10  # of a kernel: false loops make a graph dense, and what is stu
 NOISE = 0.1  # of ringCity's sigmas, which the file states and does not have
 
 
-def outlier_table(folder: Path) -> Table:
+def outlier_table(folder: Path) -> Iterator[list[str]]:
     gnc = [f"gnc, seed {seed}" for seed in SEEDS]
-    rows = [["graph", "false loops", *(f"{kernel}, seed {SEEDS[0]}" for kernel in KERNELS), *gnc,
-             "gnc, worst over clean", "gnc CPU s, median"]]  # fmt: skip
+    yield ["graph", "false loops", *(f"{kernel}, seed {SEEDS[0]}" for kernel in KERNELS), *gnc,
+           "gnc, worst over clean", "gnc CPU s, median"]  # fmt: skip
     for name, (problem, truth) in _graphs(folder).items():
         clean = solve(problem, _start(problem)).world_T_pose
         reference = clean if truth is None else truth
-        rows.append(_row(problem, clean, reference, name, None, 0.0))
-        of_clean = rows[-1][-3]
+        without = _row(problem, clean, reference, name, None, 0.0)
+        yield without
         for kind in KINDS:
             for share in SHARES:
-                rows.append(_row(problem, clean, reference, name, kind, share))
-                rows[-1][-2] = _worst(rows[-1][-2 - len(SEEDS) : -2], of_clean)
-                say(" | ".join(rows[-1]))
-    return rows
+                row = _row(problem, clean, reference, name, kind, share)
+                row[-2] = _worst(row[-2 - len(SEEDS) : -2], without[-3])
+                yield row
 
 
 def _row(

@@ -1,17 +1,10 @@
 """How low chi2 of a pose graph can be at all: a bound by duality, after SE-Sync.
 
-Every edge's cost is replaced by one that is nowhere above it, touches it (but for a term of fourth order) at
-the solution, and is a quadratic form in unit complex headings z and complex positions t. With e the error of
-the heading, e0 the one at the solution and Omega >= diag(tau, tau, kappa):
-
-    e^2 >= e0^2 + 2 e0 / sin(e0) (cos e0 - cos e)                   (equal at e = +-e0)
-    |log translation|^2 >= |translation|^2                          (equal at e = 0)
-
-so the form has the weights tau and kappa e0 / sin(e0), and a constant. At a minimum of the form let
-Lambda = Re(conj(z) (Q x)_z). If S = Q - diag(Lambda, 0) has no negative eigenvalue, sum(Lambda) is the least value of
-the form over all poses (Rosen et al., SE-Sync, IJRR 2019, theorem 7), and with the constant a bound on chi2.
-If S + epsilon is positive definite over the headings, the bound is lower by epsilon per heading.
-Definiteness is shown by an L D L^H in double precision.
+chi2 is replaced by a quadratic form x^H Q x in unit headings z and positions t that is nowhere above it and touches it at
+the solution (`minorant`). At a minimum of the form let Lambda = Re(conj(z) (Q x)_z). If S = Q - diag(Lambda, 0) has no
+negative eigenvalue, sum(Lambda) is the least value of the form over all poses (Rosen et al., SE-Sync, IJRR 2019, theorem 7),
+and with the constant a bound on chi2. If S + epsilon is positive definite over the headings, the bound is lower by epsilon per
+heading. Definiteness is shown by an L D L^H in double precision.
 """
 
 from __future__ import annotations
@@ -22,20 +15,17 @@ from typing import Any
 import numpy as np
 from scipy.sparse import block_array, csc_array, diags_array
 
-from mfslam.pose_graphs.chordal import (
-    ComplexArray,
-    QuadraticForm,
-    add_diagonal,
-    factorise,
-    isotropic_part,
-    quadratic_form,
-)
+from mfslam.graph.chordal import ComplexArray, QuadraticForm, order_of_free_poses
+from mfslam.graph.minorant import minorant
+from mfslam.graph.symmetric_factors import SymmetricFactors
 from mfslam.pose_graphs.data import Problem
-from mfslam.types import FloatArray
+from mfslam.types import FloatArray, IntArray
 
 TOLERANCE = 1e-3  # relative: a solution this near to the bound is called the global optimum
 _NOTHING = 1e-6  # chi2 of a graph without contradictions
 _STEPS = 20
+_EXACT = 1e-7  # of chi2: what the bound may lose by a minimum that is not quite reached
+_EPSILONS = 1e-6, 1e-4, 1e-2, 1.0, 1e2  # of chi2 per heading
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,51 +56,49 @@ class Certificate:
 def certify(problem: Problem, world_T_pose: FloatArray) -> Certificate:
     """Whether poses (N, 3), a solution of the graph, are its global optimum."""
     chi2 = float(problem.chi2(world_T_pose).sum())
-    tau, kappa = isotropic_part(problem.information)
-    error = problem.residuals(world_T_pose)[:, 2]
-    sine = np.where(error == 0, 1.0, np.sinc(error / np.pi))
-    if (sine <= 0).any():
+    below = minorant(problem, world_T_pose)
+    if below is None:
         return Certificate(False, chi2, None, "an edge is half a turn off")
-    constant = float(np.sum(kappa * (error**2 - 2.0 / sine * (1.0 - np.cos(error)))))
-    form = quadratic_form(problem, tau, kappa / sine)
+    form = below.form
     if form.headings == 1:
         return Certificate(True, chi2, chi2, "nothing is free to move")
-    x = _minimise(form, form.unknowns(world_T_pose))
-    bound, psd = _bound(form, x, chi2)
-    lower = max(0.0, bound + constant)
+    order = order_of_free_poses(problem)
+    x = _minimise(form, form.unknowns(world_T_pose), order, _EXACT * max(chi2, _NOTHING))
+    bound, is_positive = _bound(form, x, order, chi2)
+    lower = float(np.clip(bound + below.constant, 0.0, chi2))  # above chi2 it is so by rounding
     if chi2 - lower <= max(TOLERANCE * chi2, _NOTHING):
         return Certificate(True, chi2, lower, "no poses have a lower chi2 than the bound")
-    plain = np.allclose(tau, problem.information[:, 0, 0]) and np.allclose(
-        kappa, problem.information[:, 2, 2]
-    )
-    if not plain:
-        reason = "errors weigh differently by direction, and the bound holds for the least weight only"
-    elif psd:
+    if not below.is_plain:
+        reason = "edges know far less in one direction than in another, which leaves the bound loose"
+    elif is_positive:
         reason = "headings far from their measurements leave the bound loose"
     else:
         reason = "the dual matrix has a negative eigenvalue: a better optimum may exist"
     return Certificate(False, chi2, lower, reason)
 
 
-def _minimise(form: QuadraticForm, x: ComplexArray) -> ComplexArray:
+def _minimise(form: QuadraticForm, x: ComplexArray, order: IntArray, exact: float) -> ComplexArray:
     """The form's minimum near x with headings of length one, by Newton's method, as far as it goes: the
     bound holds at any x, and is tight at the minimum."""
     z = form.headings
+    steps = np.concatenate([order, z - 1 + order, 2 * z - 2 + order]).reshape(3, -1).T.ravel()
     last = np.inf
     for _ in range(_STEPS):
-        s, gradient = _dual_matrix(form, x)
+        qx = np.asarray(form.q @ x)
+        if last < np.inf and abs(np.vdot(x[z:], qx[z:]).real) < exact:
+            break
         # directions: each free heading along its circle, each position in x and in y
-        turn = 1j * x[: z - 1]
         move = block_array(
-            [[diags_array(turn), None, None], [csc_array((1, z - 1), dtype=complex), None, None],
+            [[diags_array(1j * x[: z - 1]), None, None], [csc_array((1, z - 1), dtype=complex), None, None],
              [None, diags_array(np.ones(z - 1)), diags_array(np.full(z - 1, 1j))]], format="csc",
         )  # fmt: skip
-        hessian = csc_array((move.conj().T @ s @ move).real)
-        slope = (move.conj().T @ gradient).real
-        factors = factorise(hessian)
-        if factors is None or (factors.U.diagonal() <= 0).any():
+        hessian = csc_array((move.conj().T @ _dual_matrix(form, x, qx) @ move).real)
+        slope = (move.conj().T @ qx).real
+        factors = SymmetricFactors(hessian, steps)
+        if not factors.is_positive:
             break
-        step = -factors.solve(slope)
+        step = -np.asarray(factors.solve(slope), dtype=np.float64)
+        del factors, hessian, move  # of a large graph, a gigabyte
         size = float(np.abs(step).max())
         if not size < last:  # nothing but rounding is left, or it leads away
             break
@@ -122,15 +110,7 @@ def _minimise(form: QuadraticForm, x: ComplexArray) -> ComplexArray:
                 x[z:] + step[z - 1 : 2 * z - 2] + 1j * step[2 * z - 2 :],
             ]
         )
-        if size < 1e-9 * float(np.abs(x).max()):
-            break
     return x
-
-
-def _dual_matrix(form: QuadraticForm, x: ComplexArray) -> tuple[csc_array, ComplexArray]:
-    """S = Q - diag(Lambda, 0), and Q x."""
-    qx = np.asarray(form.q @ x)
-    return add_diagonal(form.q, -_multipliers(form, x, qx)), qx
 
 
 def _multipliers(form: QuadraticForm, x: ComplexArray, qx: ComplexArray) -> FloatArray:
@@ -139,17 +119,20 @@ def _multipliers(form: QuadraticForm, x: ComplexArray, qx: ComplexArray) -> Floa
     return out
 
 
-def _bound(form: QuadraticForm, x: ComplexArray, chi2: float) -> tuple[float, bool]:
+def _dual_matrix(form: QuadraticForm, x: ComplexArray, qx: ComplexArray, epsilon: float = 0.0) -> csc_array:
+    """S = Q - diag(Lambda, 0), with epsilon added on the headings."""
+    shift = -_multipliers(form, x, qx)
+    shift[: form.headings] += epsilon
+    return csc_array(form.q + diags_array(shift, format="csc"))
+
+
+def _bound(form: QuadraticForm, x: ComplexArray, order: IntArray, chi2: float) -> tuple[float, bool]:
     """Lower bound of the form over all poses, and whether S is positive semidefinite but for rounding."""
     z = form.headings
     qx = np.asarray(form.q @ x)
-    multipliers = _multipliers(form, x, qx)
-    s = add_diagonal(form.q, -multipliers)
-    ones = np.concatenate([np.ones(z), np.zeros(len(x) - z)])
-    total = float(multipliers.sum())
-    small = 1e-6 * max(chi2, _NOTHING) / z
-    for epsilon in small * 10.0 ** np.arange(8):
-        factors = factorise(add_diagonal(s, epsilon * ones))
-        if factors is not None and (factors.U.diagonal() > 0).all():
-            return total - epsilon * z, bool(epsilon <= 1e2 * small)
+    total = float(_multipliers(form, x, qx).sum())
+    unknowns = np.append(np.column_stack([order, z + order]).ravel(), z - 1)  # the world last
+    for epsilon in np.array(_EPSILONS) * max(chi2, _NOTHING) / z:
+        if SymmetricFactors(_dual_matrix(form, x, qx, epsilon), unknowns).is_positive:
+            return total - epsilon * z, bool(epsilon * z <= _EPSILONS[1] * max(chi2, _NOTHING))
     return -np.inf, False

@@ -11,13 +11,12 @@ heading w that weighs its errors alike in all directions costs
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array, csc_array, diags_array
-from scipy.sparse.linalg import splu
+from scipy.sparse import coo_array, csc_array
 
+from mfslam.graph.symmetric_factors import SymmetricFactors, elimination_order
 from mfslam.pose_graphs.data import Problem
 from mfslam.types import FloatArray, IntArray
 
@@ -26,7 +25,7 @@ ComplexArray = npt.NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False)
 class QuadraticForm:
-    """x -> |B x|^2 over the unknowns of a graph: F headings of free poses, the world's heading, F positions.
+    """x -> x^H Q x over the unknowns of a graph: F headings of free poses, the world's heading, F positions.
 
     ``q`` (2F + 1, 2F + 1) Hermitian. Held poses are rigid with the world, whose position is the origin.
     """
@@ -51,7 +50,18 @@ class QuadraticForm:
         return out
 
 
-def quadratic_form(problem: Problem, tau: FloatArray, kappa: FloatArray) -> QuadraticForm:
+@dataclass(frozen=True, eq=False)
+class Couplings:
+    """Terms Re(a conj(z_i) (t_j - t_i) + b conj(z_j) (t_j - t_i) + c conj(z_i) z_j) of the edges; each (E,) complex."""
+
+    a: ComplexArray
+    b: ComplexArray
+    c: ComplexArray
+
+
+def quadratic_form(
+    problem: Problem, tau: FloatArray, kappa: FloatArray, couplings: Couplings | None = None
+) -> QuadraticForm:
     """The form with weights tau (E,) of translations and kappa (E,) of headings."""
     size, edges = problem.size, len(problem.i)
     row = np.arange(edges)
@@ -71,8 +81,22 @@ def quadratic_form(problem: Problem, tau: FloatArray, kappa: FloatArray) -> Quad
         shape=(2 * edges, 2 * nodes),
     ).tocsr()
     free = np.flatnonzero(~problem.held)
-    reduced = b @ _expansion(problem, free)
-    return QuadraticForm(csc_array(reduced.conj().T @ reduced), free)
+    expansion = _expansion(problem, free)
+    reduced = b @ expansion
+    q = csc_array(reduced.conj().T @ reduced)
+    if couplings is not None:
+        half = expansion.conj().T @ _coupled(problem, couplings) @ expansion
+        q = csc_array(q + half + half.conj().T)
+    return QuadraticForm(q, free)
+
+
+def _coupled(problem: Problem, terms: Couplings) -> csc_array:
+    """(2N + 2, 2N + 2) half of the Hermitian matrix of the terms, which are sums of a number and its conjugate."""
+    i, j, nodes = problem.i, problem.j, problem.size + 1
+    values = 0.5 * np.concatenate([terms.a, -terms.a, terms.b, -terms.b, terms.c])
+    rows = np.concatenate([i, i, j, j, i])
+    columns = np.concatenate([nodes + j, nodes + i, nodes + j, nodes + i, j])
+    return csc_array(coo_array((values, (rows, columns)), shape=(2 * nodes, 2 * nodes)))
 
 
 def _expansion(problem: Problem, free: IntArray) -> csc_array:
@@ -90,20 +114,13 @@ def _expansion(problem: Problem, free: IntArray) -> csc_array:
     return csc_array(coo_array((values, (rows, columns)), shape=(2 * size + 2, 2 * count + 1)))
 
 
-def isotropic_part(information: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """tau, kappa (E,): diag(tau, tau, kappa) is below the information matrix (E, 3, 3) in every direction.
-
-    Equal to it where it is of that form already.
-    """
-    translation = 0.5 * (information[:, 0, 0] + information[:, 1, 1])
-    scale = np.sqrt(information[:, 2, 2] / np.where(translation > 0, translation, 1.0))
-    usable = (scale > 0) & (translation > 0)
-    s = np.stack([np.ones_like(scale), np.ones_like(scale), np.where(usable, scale, 1.0)], axis=-1)
-    smallest = np.maximum(np.linalg.eigvalsh(information / (s[:, :, None] * s[:, None, :]))[:, 0], 0.0)
-    tau, kappa = smallest, smallest * s[:, 2] ** 2
-    off = np.abs(information[:, (0, 0, 1), (1, 2, 2)]).max(axis=1)
-    plain = (off == 0) & (information[:, 0, 0] == information[:, 1, 1])
-    return np.where(plain, information[:, 0, 0], tau), np.where(plain, information[:, 2, 2], kappa)
+def order_of_free_poses(problem: Problem) -> IntArray:
+    """(F,) numbers of the free poses, counted from 0, in an order of elimination."""
+    number = np.full(problem.size + 1, -1)
+    number[:-1][~problem.held] = np.arange(int((~problem.held).sum()))
+    i, j = number[problem.i], number[problem.j]
+    inner = (i >= 0) & (j >= 0)
+    return elimination_order(i[inner], j[inner], int((~problem.held).sum()))
 
 
 def chordal_start(problem: Problem) -> FloatArray | None:
@@ -116,51 +133,22 @@ def chordal_start(problem: Problem) -> FloatArray | None:
     count = len(form.free)
     if count == 0:
         return problem.world_T_pose.copy()
+    order = order_of_free_poses(problem)
     kappa_only = quadratic_form(problem, np.zeros_like(trace), problem.information[:, 2, 2])
-    z = _solve(kappa_only.q[:count, :count], -kappa_only.q[:count, [count]].toarray()[:, 0])
+    z = _solve(kappa_only.q[:count, :count], -kappa_only.q[:count, [count]].toarray()[:, 0], order)
     if z is None or np.abs(z).min() == 0:
         return None
     headings = np.concatenate([z / np.abs(z), [1.0]])
-    t = _solve(form.q[count + 1 :, count + 1 :], -(form.q[count + 1 :, : count + 1] @ headings))
+    t = _solve(form.q[count + 1 :, count + 1 :].real, -(form.q[count + 1 :, : count + 1] @ headings), order)
     if t is None:
         return None
     return form.poses(np.concatenate([headings, t]), problem.world_T_pose)
 
 
-def _solve(matrix: csc_array, right: ComplexArray) -> ComplexArray | None:
+def _solve(matrix: csc_array, right: ComplexArray, order: IntArray) -> ComplexArray | None:
     """Solution of a positive definite system, or None when it is singular."""
-    factors = factorise(matrix)
-    if factors is None:
+    factors = SymmetricFactors(csc_array(matrix), order)
+    if not factors.exists:
         return None
-    out = factors.solve(np.column_stack([right.real, right.imag]).ravel())
-    return out[::2] + 1j * out[1::2] if np.isfinite(out).all() else None
-
-
-def factorise(matrix: csc_array) -> Any | None:
-    """L D L^T of a real symmetric matrix without pivoting (SuperLU in symmetric mode), or None if there is none.
-
-    A Hermitian matrix becomes a real one of twice the size, real and imaginary part in turn: complex
-    factorisations are a hundred times as slow there.
-    """
-    real = _as_real(matrix) if np.iscomplexobj(matrix.data) else matrix
-    try:
-        factors = splu(real, permc_spec="COLAMD", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    except RuntimeError:  # exactly singular
-        return None
-    return factors if np.array_equal(factors.perm_r, factors.perm_c) else None
-
-
-def _as_real(matrix: csc_array) -> csc_array:
-    entries = matrix.tocoo()
-    row, column = 2 * entries.coords[0], 2 * entries.coords[1]
-    re, im = entries.data.real, entries.data.imag
-    rows = np.concatenate([row, row, row + 1, row + 1])
-    columns = np.concatenate([column, column + 1, column, column + 1])
-    size = 2 * matrix.shape[0]
-    out = csc_array(coo_array((np.concatenate([re, -im, im, re]), (rows, columns)), shape=(size, size)))
-    out.eliminate_zeros()
-    return out
-
-
-def add_diagonal(matrix: csc_array, diagonal: FloatArray) -> csc_array:
-    return csc_array(matrix + diags_array(diagonal, format="csc"))
+    out = np.asarray(factors.solve(right), dtype=np.complex128)
+    return out if np.isfinite(out).all() else None
