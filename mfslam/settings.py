@@ -45,12 +45,17 @@ def preset_path(name: str) -> Path:
     raise MfslamError(f"no preset and no file {name!r}{hint} Presets: {', '.join(preset_names())}")
 
 
-def load(files: Iterable[Path | str] = (), settings: Iterable[str] = ()) -> Config:
-    """Defaults, overlaid by YAML files in order, then by ``stage.key=value`` settings.
+def load(
+    files: Iterable[Path | str] = (), settings: Iterable[str] = (), otherwise: Iterable[str] = ()
+) -> Config:
+    """Defaults, overlaid by YAML files in order, then by ``stage.key=value`` settings. ``otherwise``: settings that hold
+    where nobody says anything else.
 
     Raises MfslamError with file and line (or the setting) for anything that is not understood.
     """
     layers = Layers()
+    for setting in otherwise:
+        layers.set(setting)
     for file in files:
         layers.read(Path(file))
     for setting in settings:

@@ -19,10 +19,10 @@ def sources_of(args: argparse.Namespace) -> Sources:
     return Sources(args.lidar, args.wheels)
 
 
-def config_of(args: argparse.Namespace, more: list[str] | None = None) -> Config:
-    """Layers: --preset, --config, settings that the sensors bring (``more``), --set. Raises MfslamError."""
+def config_of(args: argparse.Namespace, brought: list[str] | None = None) -> Config:
+    """Layers: settings that the sensors bring (``brought``), --preset, --config, --set. Raises MfslamError."""
     files = [preset_path(name) for name in args.preset] + ([args.config] if args.config else [])
-    return load(files, [*(more or []), *args.settings])
+    return load(files, args.settings, otherwise=brought or [])
 
 
 def map_command(args: argparse.Namespace, sources: Sources, recording: Path, folder: Path) -> str:
@@ -30,5 +30,14 @@ def map_command(args: argparse.Namespace, sources: Sources, recording: Path, fol
     command = ["mfslam", "map", str(recording), "-o", str(folder)]
     command += [word for name in args.preset for word in ("--preset", name)]
     command += ["--config", str(args.config)] if args.config else []
-    command += [word for text in [*sources.map_settings(), *args.settings] for word in ("--set", text)]
+    config = config_of(args, sources.map_settings())
+    brought = [text for text in sources.map_settings() if _holds(text, config)]
+    command += [word for text in [*brought, *args.settings] for word in ("--set", text)]
     return shlex.join(command)
+
+
+def _holds(setting: str, config: Config) -> bool:
+    """Whether nobody has said anything else than this number."""
+    key, _, value = setting.partition("=")
+    stage, name = key.split(".")
+    return bool(getattr(getattr(config, stage), name) == float(value))

@@ -114,9 +114,16 @@ class PoseGraph:
         """Those of these edges that are loops."""
         return numbers[self._arrays.is_loop[numbers]]
 
-    def satisfied(self, numbers: IntArray, world_T_body: FloatArray) -> BoolArray:
-        """Which of these edges poses (K', 3) of the first keyframes satisfy as a loop in use has to be."""
-        return ~self._arrays.are_off(numbers, world_T_body, self.config)
+    def still_known(self, known: IntArray, known_poses: FloatArray) -> IntArray:
+        """Of edges numbered ``known``, from which ``known_poses`` (K', 3) were found, those that they still tell of: not
+        those taken out since, nor, where the poses believed one of these, what it had closed."""
+        e, in_use = self._arrays, self._in_use()[known] > 0.0
+        known, out = known[in_use], known[~in_use]
+        chi2 = graph_terms.edge_chi2(e.ends[out], e.measured[out], e.information[out], known_poses)
+        for i, j in e.ends[out[chi2 < self.config.loop_kernel_sigmas**2]]:
+            ends = e.ends[known]
+            known = known[((ends < i) | (ends > j)).any(axis=1)]
+        return known
 
     def solved_with(self, known: IntArray, known_poses: FloatArray, start: FloatArray) -> FloatArray:
         """(K, 3) poses from ``start`` (K, 3), if the edges numbered ``known`` had measured what ``known_poses`` (K', 3) of

@@ -29,6 +29,7 @@ class Belief:
 
     Each edge that the refinement knew measures from then on what it found. So refined keyframes stand where it left
     them, and where a new loop contradicts them they give way as the graph would.
+    What a loop had closed that it believed, and that has been found wrong since, measures what was measured again.
     """
 
     def __init__(self) -> None:
@@ -44,18 +45,14 @@ class Belief:
 
     def keyframes(self, graph: PoseGraph) -> FloatArray:
         """(K, 3) world_T_body of all keyframes of ``graph``, which has grown since."""
-        in_use = graph.numbers_in_use()
-        taken_out = np.setdiff1d(self._known, in_use, assume_unique=True)
-        self._known = np.setdiff1d(self._known, taken_out, assume_unique=True)
         if self._refined is None:
             return graph.rough_poses()
-        if graph.satisfied(taken_out, self._refined.keyframes).any():
-            self._refined = None  # it believed what was found wrong since
-            return graph.rough_poses()
+        self._known = graph.still_known(self._known, self._refined.keyframes)
         poses, count = graph.rough_poses(), len(self._poses)
         onto = se2.compose(self._poses[-1], se2.inverse(poses[count - 1]))
         self._poses = np.concatenate([self._poses, se2.compose(onto, poses[count:])])
-        loops = graph.loops_among(np.setdiff1d(in_use, self._known, assume_unique=True))
+        others = np.setdiff1d(graph.numbers_in_use(), self._known, assume_unique=True)
+        loops = graph.loops_among(others)
         if not np.array_equal(loops, self._loops):
             self._loops = loops
             self._poses = graph.solved_with(self._known, self._refined.keyframes, self._poses)

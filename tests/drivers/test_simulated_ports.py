@@ -21,12 +21,12 @@ from mfslam.types import MfslamError, Scan, WheelTicks
 def test_laser_and_board_share_a_world_and_a_cable_is_pulled(tmp_path: Path) -> None:
     """A serial line that starts at 19200 baud in SCIP 1.1 and is taken to 250000; the cable is out for a second."""
     record = tmp_path / "sent.jsonl"
-    faults = LineFaults(once=(LineFault(7.0, "unplug", 1.0),))
+    faults = LineFaults(once=(LineFault(4.0, "unplug", 1.0),))
     cast = Cast("demo", baud=19200, scip1=True, board="lines", laser_faults=faults, record=str(record))
     with SimulatedSensors(cast) as sim:
         laser = UrgSensor(str(sim.lidar), load(settings=["scip.baud=250000"]))
         wall_s = time.time() - time.monotonic()
-        end_s = time.monotonic() + 12.0
+        end_s = time.monotonic() + 9.0
         scans = [m for m in laser.messages(lambda: time.monotonic() > end_s) if isinstance(m, Scan)]
         wheels = list(islice(StreamingBoard(str(sim.board), load()).messages(lambda: False), 20))
     sent = [json.loads(line) for line in record.read_text(encoding="utf-8").splitlines()]

@@ -150,6 +150,7 @@ class _Line:
         self.wire = Wire(device, faults, paced=paced)
         self.port = PtyPort(folder / name)
         self._pending = b""
+        self._is_wanted = False  # the line's time begins with the host's first word
 
     def step(self, now_s: float) -> None:
         away = now_s < self.wire.unplugged_until_s
@@ -160,7 +161,10 @@ class _Line:
             self.port.plug_in()
         baud = self.port.host_baud() if self.port.plugged_in else None
         if self.port.plugged_in and (data := self.port.read()):
+            self._is_wanted = True
             self.wire.to_device(data, now_s, baud)
+        if not self._is_wanted:
+            return
         if self._pending:  # a host that does not read holds the device up
             self._pending = self.port.write(self._pending)
         else:
