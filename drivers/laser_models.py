@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,6 +50,16 @@ def laser_from(sensor: SensorConfig, told: LogGeometry, *, name: str | None = No
         range_max_m=min(sensor.range_max_m or _RANGE_MAX_M, told.range_max_m or _RANGE_MAX_M),
         range_sigma_m=sensor.range_sigma_m,
         body_T_laser=mount(sensor, told.body_T_laser),
+    )
+
+
+def as_told(laser: Laser, sensor: SensorConfig) -> Laser:
+    """A laser of `laser_from` as its sensor alone tells of it: who reads a recording with the same settings adds delay
+    and posture again."""
+    return replace(
+        laser,
+        angles_rad=-laser.angles_rad if sensor.upside_down else laser.angles_rad,
+        offsets_s=laser.offsets_s - sensor.transport_delay_s,
     )
 
 

@@ -94,7 +94,7 @@ def _acquire(job: Job, outbox: Outbox, stop: threading.Event) -> list[tuple[str,
     packer = Packer()
     with ExitStack() as stack:
         sensors = job.sources.open(job.config, HostClock(), stack)
-        recorder = None if job.output is None else Recorder(job.output, job.config.wheels)
+        recorder = None if job.output is None else Recorder(job.output, job.config)
         pump = Pump(sensors, recorder)
         told_s = 0.0
         with pump:

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from drivers.laser_models import as_told
 from drivers.writers.ros import RosConverter, RosMessage
-from mfslam.config import WheelsConfig
-from mfslam.types import Findings, Message, MfslamError
+from mfslam.config import Config
+from mfslam.types import Findings, Laser, Message, MfslamError, Scan
 
 CHUNK_S = 0.5
 # for tf2's static listeners: what is said once is kept for those who come later
@@ -29,12 +31,10 @@ class Recorder:
     """An open recording; a context manager. Raises MfslamError for a file that exists or cannot be written.
 
     Whatever was `add`-ed before the latest `sync` survives a power cut. ``notes`` go into the file as MCAP
-    metadata.
+    metadata. ``config``: under which the messages came; scans are recorded as the sensor tells them (`as_told`).
     """
 
-    def __init__(
-        self, path: Path, wheels: WheelsConfig | None = None, notes: dict[str, str] | None = None
-    ) -> None:
+    def __init__(self, path: Path, config: Config | None = None, notes: dict[str, str] | None = None) -> None:
         from mcap.writer import CompressionType, Writer
         from rosbags.typesys import Stores, get_typestore
 
@@ -43,7 +43,13 @@ class Recorder:
         self.findings = Findings()
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         self._channels: dict[str, int] = {}
-        self._converter = RosConverter(dict(self._store.types), self.findings, wheels)
+        self._config = config or Config()
+        self._lasers: dict[
+            int, tuple[Laser, Laser]
+        ] = {}  # by id: as it comes, which keeps the id; as it is told
+        self._converter = RosConverter(
+            dict(self._store.types), self.findings, self._config.wheels, self._config.sensor.upside_down
+        )
         self._synced_s = time.monotonic()
         self._disk = _Disk(path)
         try:
@@ -61,10 +67,17 @@ class Recorder:
 
     def add(self, message: Message) -> None:
         """Take a message; raises MfslamError when the disk is full."""
+        if isinstance(message, Scan):
+            message = replace(message, laser=self._as_told(message.laser))
         for ros in self._converter.convert([message]):
             self._write(ros)
         self.messages += 1
         self.tick()
+
+    def _as_told(self, laser: Laser) -> Laser:
+        if id(laser) not in self._lasers:
+            self._lasers[id(laser)] = laser, as_told(laser, self._config.sensor)
+        return self._lasers[id(laser)][1]
 
     def tick(self) -> None:
         """To be called often, also when nothing comes: a chunk is at most ``CHUNK_S`` old."""

@@ -36,12 +36,18 @@ RosMessage = tuple[str, str, Any, int]  # topic, type, message, bag time in ns
 
 
 class RosConverter:
-    """Turns messages into ROS messages made of a rosbags typestore's classes."""
+    """Turns messages into ROS messages made of a rosbags typestore's classes. ``upside_down``: how lasers hang."""
 
-    def __init__(self, types: dict[str, Any], findings: Findings, wheels: WheelsConfig | None) -> None:
+    def __init__(
+        self,
+        types: dict[str, Any],
+        findings: Findings,
+        wheels: WheelsConfig | None,
+        upside_down: bool = False,
+    ) -> None:
         self._types = types
         self._findings = findings
-        self._wheels = wheels
+        self._wheels, self._upside_down = wheels, upside_down
         self._frames: dict[tuple[str, bytes], str] = {}
         self._slopes: dict[int, tuple[Laser, float]] = {}
         self._last_ns = 0
@@ -90,6 +96,11 @@ class RosConverter:
     def _quaternion(self, yaw_rad: float) -> Any:
         z, w = math.sin(0.5 * yaw_rad), math.cos(0.5 * yaw_rad)
         return self._make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=z, w=w)
+
+    def _rolled(self, yaw_rad: float) -> Any:
+        """Half a turn about x, then the yaw."""
+        x, y = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
+        return self._make("geometry_msgs/msg/Quaternion", x=x, y=y, z=0.0, w=0.0)
 
     def _vector(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
         return self._make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
@@ -190,7 +201,7 @@ class RosConverter:
             transform=self._make(
                 "geometry_msgs/msg/Transform",
                 translation=self._vector(x, y),
-                rotation=self._quaternion(yaw),
+                rotation=self._rolled(yaw) if self._upside_down else self._quaternion(yaw),
             ),
         )
         return "tf2_msgs/msg/TFMessage", self._make("tf2_msgs/msg/TFMessage", transforms=[transform])

@@ -56,7 +56,7 @@ def record(sources: Sources, config: Config, output: Path, duration_s: float | N
     with ExitStack() as stack, Ends() as ends:
         status.tell("starting the sensors ...")
         sensors = sources.open(config, HostClock(), stack)
-        pump = Pump(sensors, Recorder(output, config.wheels, notes))
+        pump = Pump(sensors, Recorder(output, config, notes))
         started_s = time.monotonic()
         try:
             with pump:

@@ -20,6 +20,7 @@ from sent_scans import check_recorded, sent_for_s
 from drivers.acquisition.feed import AcquisitionFeed
 from drivers.acquisition.pump import Pump
 from drivers.acquisition.sources import Sources
+from drivers.laser_models import LogGeometry, laser_from
 from drivers.logs import open_log
 from drivers.own_process import command, environment
 from drivers.scip.sensor import UrgSensor
@@ -29,6 +30,7 @@ from drivers.simulator.devices.wire import LineFault, LineFaults
 from drivers.simulator.simulate import without_pose
 from drivers.writers.recorder import Recorder
 from mfslam.config import Config
+from mfslam.settings import load
 from mfslam.types import Findings, Imu, Message, MfslamError, Scan, WheelAngles, WheelTicks
 
 SIMULATED = ["--lidar", "sim:demo", "--wheels", "sim"]
@@ -68,7 +70,7 @@ def drive() -> list[Message]:
 
 def test_what_is_recorded_is_read_and_other_tools_open_it(tmp_path: Path, drive: list[Message]) -> None:
     path = tmp_path / "log.mcap"
-    with Recorder(path, Config().wheels, {"lidar": "test"}) as recorder:
+    with Recorder(path, Config(), {"lidar": "test"}) as recorder:
         for message in drive:
             recorder.add(message)
     messages, findings = read(path)
@@ -94,7 +96,7 @@ def test_what_is_recorded_is_read_and_other_tools_open_it(tmp_path: Path, drive:
 def test_what_was_synced_survives_a_power_cut(tmp_path: Path, drive: list[Message], torn: int) -> None:
     """The file as the disk has it: whole chunks, and maybe part of the next one."""
     path, cut = tmp_path / "log.mcap", tmp_path / "cut.mcap"
-    recorder = Recorder(path, Config().wheels)
+    recorder = Recorder(path, Config())
     synced = [0]
     for k, message in enumerate(drive):
         recorder.add(message)
@@ -110,6 +112,26 @@ def test_what_was_synced_survives_a_power_cut(tmp_path: Path, drive: list[Messag
     expected = {s.stamp_ns: s for s in scans_of(drive)}
     for scan in scans_of(messages):
         np.testing.assert_array_equal(scan.ranges_m, expected[scan.stamp_ns].ranges_m)
+
+
+@pytest.mark.parametrize("read_with", ["the same settings", "none"])
+def test_a_laser_that_hangs_upside_down_and_is_late_is_so_once(tmp_path: Path, read_with: str) -> None:
+    path = tmp_path / "log.mcap"
+    config = load(
+        settings=["sensor.upside_down=true", "sensor.transport_delay_s=-0.05", "sensor.mount_yaw_deg=20"]
+    )
+    told = LogGeometry(n_beams=4, angle_min_rad=-1.0, angle_step_rad=0.5, turn_period_s=0.1)
+    scan = Scan(10**18, np.full(4, 2.0, np.float32), laser_from(config.sensor, told))
+    with Recorder(path, config) as recorder:
+        recorder.add(scan)
+    again = config if read_with != "none" else Config()
+    with open_log(path, again) as log:
+        (found,) = scans_of(list(log))
+    assert found.stamp_ns == scan.stamp_ns
+    np.testing.assert_allclose(found.laser.angles_rad, scan.laser.angles_rad, atol=1e-6)
+    np.testing.assert_allclose(found.laser.body_T_laser, scan.laser.body_T_laser, atol=1e-12)
+    late_s = -0.05 if read_with != "none" else 0.0
+    np.testing.assert_allclose(found.laser.offsets_s, scan.laser.offsets_s + 0.05 + late_s, atol=1e-6)
 
 
 def test_a_recording_never_replaces_a_file(tmp_path: Path) -> None:
