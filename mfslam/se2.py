@@ -6,9 +6,20 @@ Tangent: (vx, vy, omega), right-perturbation ``T exp(xi)``: the order and the ex
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from mfslam.types import FloatArray
+
+LARGEST = (
+    1e9  # m or rad that a pose may have: no planet is larger, and far larger numbers overflow when squared
+)
+
+
+def are_of_a_pose(numbers: Iterable[float]) -> bool:
+    """Whether all are finite and of a size that a pose can have."""
+    return all(abs(number) <= LARGEST for number in numbers)
 
 
 def wrap(angle_rad: FloatArray | float) -> FloatArray:

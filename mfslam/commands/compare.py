@@ -11,16 +11,14 @@ from typing import Any
 from mfslam.evaluation.page import card, colour, path_picture, table_card
 from mfslam.evaluation.runs import Comparison, compare_runs, read_run
 from mfslam.evaluation.tables import Rows, as_text
-from mfslam.output import check_writable, json_text, write_atomically
+from mfslam.output import check_outputs, json_text, write_atomically
 from mfslam.output.charts import Series, binned, line_chart
 from mfslam.output.page import html_page
 from mfslam.output.tables import caption
 
 
 def run(args: argparse.Namespace) -> int:
-    for path in (args.output, args.json, args.picture):
-        if path is not None:
-            check_writable(path)
+    check_outputs(args.output, args.json, args.picture)
     comparison = compare_runs(read_run(args.a), read_run(args.b))
     tables = _tables(comparison.data)
     if args.json is not None:

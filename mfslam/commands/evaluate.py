@@ -16,17 +16,20 @@ from mfslam.evaluation.scores import (
 )
 from mfslam.evaluation.tables import as_text, score_tables
 from mfslam.metrics import read_relations
-from mfslam.output import check_writable, json_text, write_atomically
+from mfslam.output import check_outputs, json_text, write_atomically
 from mfslam.output.results import Result, read_graph_truth, read_result
 from mfslam.types import MfslamError
 
+LONGEST_S = 1e6  # between stamps that are taken for one
+
 
 def run(args: argparse.Namespace) -> int:
-    for path in (args.output, args.json, args.list):
-        if path is not None:
-            check_writable(path)
+    check_outputs(args.output, args.json, args.list)
     if args.rpe_step < 1:
         raise MfslamError(f"--rpe-step: expected at least 1 pose, got {args.rpe_step}")
+    for name, value in (("--tolerance", args.tolerance), ("--max-difference", args.max_difference)):
+        if not 0.0 <= value <= LONGEST_S:
+            raise MfslamError(f"{name}: expected 0 to {LONGEST_S:g} s, got {value:g}")
     results = [
         replace(read_result(path), name=name)
         for path, name in zip(args.results, _names(args.results), strict=True)

@@ -15,7 +15,7 @@ from mfslam.graph.certificate import Certificate, certify
 from mfslam.graph.chordal import chordal_start
 from mfslam.graph.incremental import IncrementalRun, solve_incrementally
 from mfslam.graph.robust import solve_robust
-from mfslam.output import check_writable, json_text, write_atomically
+from mfslam.output import check_outputs, json_text, write_atomically
 from mfslam.output.g2o import graph_file_text
 from mfslam.output.graph_reader import read_graph
 from mfslam.pose_graphs.data import GraphFile, Problem, components, problem_of
@@ -51,9 +51,12 @@ class Outcome:
 
 
 def run(args: argparse.Namespace) -> int:
-    for path in (args.output, args.json):
-        if path is not None:
-            check_writable(path)
+    check_outputs(args.output, args.json)
+    if args.kernel_sigmas is not None:
+        if args.robust in ("none", "gnc"):
+            raise MfslamError("--kernel-sigmas: only kernels have a scale (--robust huber, cauchy, ...)")
+        if not 1e-6 <= args.kernel_sigmas <= 1e6:
+            raise MfslamError(f"--kernel-sigmas: expected 1e-6 to 1e6 sigmas, got {args.kernel_sigmas:g}")
     outcome = optimize(args)
     if args.output is not None:
         solved = replace(outcome.graph, world_T_pose=outcome.solution.world_T_pose)

@@ -138,5 +138,5 @@ def path_picture(paths: Sequence[tuple[str, str, FloatArray]]) -> str:
 
 
 def _round_length(about: float) -> float:
-    power = 10.0 ** np.floor(np.log10(max(about, 1e-3)))
-    return float(max(m * power for m in (1.0, 2.0, 5.0) if m * power <= about * 1.0001))
+    power = 10.0 ** np.floor(np.log10(about))
+    return float(max(m * power for m in (1.0, 2.0, 5.0) if m * power <= max(about, power) * 1.0001))

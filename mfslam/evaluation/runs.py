@@ -65,8 +65,10 @@ def _loops(folder: Path) -> set[tuple[int, int]]:
     """Stamps of keyframes that edges join over more than `_NEIGHBOURS` keyframes."""
     graph = read_graph(folder / "graph.g2o")
     stamps_ns, _ = read_tum(folder / "keyframes.tum")
-    if graph.ids.max() >= len(stamps_ns):
-        raise MfslamError(f"{folder / 'graph.g2o'}: has more poses than keyframes.tum; map the log again")
+    if graph.ids.min() < 0 or graph.ids.max() >= len(stamps_ns):
+        raise MfslamError(
+            f"{folder / 'graph.g2o'}: its vertices are not those of keyframes.tum (0 to {len(stamps_ns) - 1}); map the log again"
+        )
     far = np.abs(graph.i - graph.j) > _NEIGHBOURS
     pairs = np.column_stack([stamps_ns[graph.i[far]], stamps_ns[graph.j[far]]])
     return {(int(min(pair)), int(max(pair))) for pair in pairs.tolist()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 from mfslam import se2
 from mfslam.metrics.matching import nearest, range_text
 from mfslam.metrics.statistics import ErrorStats
+from mfslam.se2 import LARGEST, are_of_a_pose
 from mfslam.types import BoolArray, FloatArray, IntArray, MfslamError
 
 _NS = 1_000_000_000
@@ -69,8 +69,10 @@ def read_relations(path: Path) -> Relations:
             raise MfslamError(
                 f"{path}:{number}: expected 't1 t2 x y z roll pitch yaw', got {line[:80]!r}"
             ) from None
-        if not all(map(math.isfinite, (x, y, yaw))):
-            raise MfslamError(f"{path}:{number}: expected finite numbers, got {line[:80]!r}")
+        if not are_of_a_pose((x, y, yaw)) or max(map(abs, pair)) >= 2**63:
+            raise MfslamError(
+                f"{path}:{number}: expected finite numbers up to {LARGEST:g} (stamps 9e9), got {line[:80]!r}"
+            )
         stamps.append(pair)
         poses.append((x, y, yaw))
     if not stamps:

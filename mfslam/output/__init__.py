@@ -4,11 +4,12 @@ from mfslam.output.covariance import read_covariances
 from mfslam.output.folder import prepare_folder, run_folder, write_run
 from mfslam.output.graph_reader import read_graph
 from mfslam.output.maps import read_map
-from mfslam.output.staging import check_writable, write_atomically
+from mfslam.output.staging import check_outputs, check_writable, write_atomically
 from mfslam.output.summary import json_text, summarise
 from mfslam.output.tum import read_tum
 
 __all__ = [
+    "check_outputs",
     "check_writable",
     "json_text",
     "prepare_folder",

@@ -8,7 +8,6 @@ unless the matrices then have negative eigenvalues and those of the other order 
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from pathlib import Path
 from typing import Literal
@@ -17,6 +16,7 @@ import numpy as np
 
 from mfslam.output.reading import read_lines
 from mfslam.pose_graphs.data import GraphFile
+from mfslam.se2 import LARGEST, are_of_a_pose
 from mfslam.types import FloatArray, MfslamError
 
 InformationOrder = Literal["g2o", "toro"]
@@ -43,6 +43,7 @@ _LEFT_OUT = {
     "EQUIV": "EQUIV lines (two names of one pose) are left out, as other optimisers do",
     "PARAMS_SE2OFFSET": "PARAMS_SE2OFFSET lines are left out: no edge that needs them is read",
 }
+_MOST = 1e30  # of information: sigmas of a millionth of an atom
 _NO_DOUBLE_SIGN = -1e-9  # an eigenvalue below this share of the largest one is negative
 
 
@@ -114,8 +115,10 @@ def _parse(fields: list[str], path: Path, number: int) -> tuple[list[int], list[
     keys = [_integer(text, path, number) for text in fields[1 : 1 + n_keys]]
     try:
         numbers = [float(text) for text in fields[1 + n_keys :]]
-        if not math.isfinite(sum(numbers)) and not all(map(math.isfinite, numbers)):
-            raise MfslamError(f"{path}:{number}: expected finite numbers after {tag}")
+        if not are_of_a_pose(numbers[:3]) or not all(abs(value) <= _MOST for value in numbers[3:]):
+            raise MfslamError(
+                f"{path}:{number}: expected finite numbers after {tag}, poses up to {LARGEST:g}, information up to {_MOST:g}"
+            )
         if any("_" in text for text in fields[1:]):  # Python's own spelling of numbers
             raise ValueError
     except ValueError:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bz2
 import gzip
-import math
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 from mfslam.output.covariance import read_covariances
 from mfslam.output.graph_reader import read_graph
 from mfslam.output.tum import read_tum, stamp_from_text
+from mfslam.se2 import are_of_a_pose
 from mfslam.types import FloatArray, IntArray, MfslamError
 
 GRAPH_SUFFIXES = (".g2o", ".graph", ".toro")
@@ -91,7 +92,7 @@ def read_carmen(path: Path) -> tuple[IntArray, FloatArray]:
             raise MfslamError(
                 f"{path}:{number}: expected a whole {fields[0]} line, got {len(fields)} fields"
             ) from None
-        if len(pose) != 3 or not all(map(math.isfinite, pose)):
+        if len(pose) != 3 or not are_of_a_pose(pose):
             raise MfslamError(f"{path}:{number}: expected a finite pose of the laser")
         stamps.append(stamp_ns)
         poses.append(pose)
@@ -112,7 +113,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
     try:
         with _opened(path) as file:
             yield from enumerate(file, start=1)
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         why = (getattr(error, "strerror", None) or str(error)).lower()
         raise MfslamError(f"{path}: cannot be read: {why}") from None
     except UnicodeDecodeError:
@@ -147,7 +148,7 @@ def read_graph_truth(path: Path) -> GraphTruth:
             row = [float(field) for field in fields]
         except ValueError:
             row = []
-        if len(row) < 3 or not all(map(math.isfinite, row)) or (rows and len(row) != len(rows[0])):
+        if len(row) < 3 or not are_of_a_pose(row) or (rows and len(row) != len(rows[0])):
             want = (
                 f"{len(rows[0])} finite numbers as before"
                 if rows
@@ -161,7 +162,12 @@ def read_graph_truth(path: Path) -> GraphTruth:
     if table.shape[1] == 3:
         return GraphTruth(np.arange(len(table)), table)
     if table.shape[1] == 4:
-        return GraphTruth(_ids(path, table[:, 0]), table[:, 1:])
+        ids = _ids(path, table[:, 0])
+        different, first = np.unique(ids, return_index=True)
+        if len(different) < len(ids):
+            twice = np.setdiff1d(np.arange(len(ids)), first)[0]
+            raise MfslamError(f"{path}: vertex {ids[twice]} is given twice")
+        return GraphTruth(ids, table[:, 1:])
     return GraphTruth(
         pairs=np.column_stack([_ids(path, table[:, 0]), _ids(path, table[:, 1])]), a_T_b=table[:, 2:5]
     )

@@ -78,6 +78,15 @@ def write_atomically(path: Path, data: bytes) -> None:
         file.write(data)
 
 
+def check_outputs(*paths: Path | None) -> None:
+    """Find out before the work whether every file that is asked for can be written, each to a place of its own."""
+    asked = [path for path in paths if path is not None]
+    for n, path in enumerate(asked):
+        check_writable(path)
+        if path.resolve() in (other.resolve() for other in asked[:n]):
+            raise MfslamError(f"{path}: two outputs cannot go to one file")
+
+
 def check_writable(path: Path) -> None:
     """Find out before the work whether a file can be written at its end.
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mfslam.output.reading import read_lines
+from mfslam.se2 import LARGEST, are_of_a_pose
 from mfslam.types import FloatArray, IntArray, MfslamError
 
 _NS = 1_000_000_000
@@ -22,11 +23,14 @@ def stamp_text(stamp_ns: int) -> str:
 
 
 def stamp_from_text(text: str) -> int:
-    """Nanoseconds of decimal seconds, exactly. Raises ValueError when it is no finite number."""
+    """Nanoseconds of decimal seconds, exactly. Raises ValueError when it is no number or 64 bits do not hold it."""
     try:
-        return int((Decimal(text) * _NS).to_integral_value())
+        stamp_ns = int((Decimal(text) * _NS).to_integral_value())
     except (InvalidOperation, OverflowError):
         raise ValueError(f"no number: {text!r}") from None
+    if abs(stamp_ns) >= 2**63:
+        raise ValueError(f"no stamp within 292 years of zero: {text!r}")
+    return stamp_ns
 
 
 def trajectory_text(stamps_ns: IntArray, world_T_body: FloatArray) -> str:
@@ -63,8 +67,8 @@ def read_tum(path: Path) -> tuple[IntArray, FloatArray]:
             x, y, z, qx, qy, qz, qw = (float(field) for field in fields[1:])
         except ValueError:
             raise MfslamError(f"{where}: expected 'stamp x y z qx qy qz qw', got {line[:80]!r}") from None
-        if not all(map(math.isfinite, (x, y, z, qx, qy, qz, qw))):
-            raise MfslamError(f"{where}: expected finite numbers, got {line[:80]!r}")
+        if not are_of_a_pose((x, y, z, qx, qy, qz, qw)):
+            raise MfslamError(f"{where}: expected finite numbers up to {LARGEST:g}, got {line[:80]!r}")
         if abs(math.hypot(qx, qy, qz, qw) - 1.0) > 1e-3:
             raise MfslamError(
                 f"{where}: expected a unit quaternion, got length {math.hypot(qx, qy, qz, qw):.4g}"

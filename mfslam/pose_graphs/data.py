@@ -64,8 +64,7 @@ class Problem:
 
     def open_poses(self) -> IntArray:
         """Rows of free poses of which no edge says anything in some direction."""
-        poses = np.vstack([self.world_T_pose, np.zeros(3)])
-        back = se2.adjoint(se2.between(poses[self.j], poses[self.i]))
+        back = se2.adjoint(se2.inverse(self.i_T_j))
         at_pose = np.zeros((self.size + 1, 3, 3))
         np.add.at(at_pose, self.j, self.information)
         np.add.at(at_pose, self.i, back.swapaxes(-1, -2) @ self.information @ back)
