@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,9 @@ def test_agrees_with_evo_on_the_same_files(files: Path) -> None:
                 )
             step = metrics.RPE(metrics.PoseRelation[relation], 5, metrics.Unit.frames, all_pairs=True)
             step.process_data((a, b))
-            assert ours["rpe"][part]["rmse"] == pytest.approx(step.get_all_statistics()["rmse"], abs=1e-9)
+            theirs = step.get_all_statistics()
+            for key in ("mean", "median", "std", "max", "rmse"):
+                assert ours["rpe"][part][key] == pytest.approx(theirs[key], abs=1e-9), (alignment, part, key)
 
 
 def test_results_side_by_side_with_a_test_of_their_difference(
@@ -99,6 +102,34 @@ def test_results_side_by_side_with_a_test_of_their_difference(
     assert "http" not in text.replace("http://www.w3.org", "")  # opens offline
     assert text.count("<svg") == 5
     assert len(single.read_text().splitlines()) == 1 + 2 * 280
+
+
+def test_long_names_lose_their_middle_in_tables_and_keep_it_in_json(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    long = "_".join(["resolution"] * 8) + ".tum"
+    (files / long).write_text((files / "bad.tum").read_text())
+    page, found = files / "page.html", files / "found.json"
+    args = ["--relations", files / "r.relations", "-o", page, "--json", found]
+    assert run("evaluate", files / "good.tum", files / long, *args) == 0
+    told = capsys.readouterr().out
+    assert long not in told + page.read_text()
+    assert "resolution_resolution_re...esolution.tum  280 of 280" in told
+    assert max(map(len, told.splitlines())) < 160
+    assert json.loads(found.read_text())["results"][1]["name"] == long
+
+
+def test_ten_results_have_ten_looks_and_a_short_title(files: Path) -> None:
+    others = [files / f"result_{n}.tum" for n in range(9)]
+    for n, path in enumerate(others):
+        path.write_text((files / ("good.tum" if n % 2 else "bad.tum")).read_text())
+    page = files / "page.html"
+    args = ["--relations", files / "r.relations", "-o", page, "-q"]
+    assert run("evaluate", files / "good.tum", *others, *args) == 0
+    text = page.read_text()
+    assert "<h1>10 results</h1>" in text
+    legend = text.partition('<div class="legend">')[2].partition("</div>")[0]
+    assert len(set(re.findall(r'<i class="([^"]+)">', legend))) == 10
 
 
 def test_unmatched_entries_are_counted_and_none_matched_tells_both_ranges(

@@ -10,11 +10,11 @@ from typing import Any
 
 from mfslam.evaluation.page import card, colour, path_picture, table_card
 from mfslam.evaluation.runs import Comparison, compare_runs, read_run
-from mfslam.evaluation.tables import Rows, as_text
+from mfslam.evaluation.tables import Rows, as_text, shown
 from mfslam.output import check_outputs, json_text, write_atomically
 from mfslam.output.charts import Series, binned, line_chart
 from mfslam.output.page import html_page
-from mfslam.output.tables import caption
+from mfslam.output.tables import caption, unit_of, value_text
 
 
 def run(args: argparse.Namespace) -> int:
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _tables(data: dict[str, Any]) -> list[tuple[str, Rows]]:
-    a, b = data["a"], data["b"]
+    a, b = shown(data["a"]), shown(data["b"])
     poses, maps, loops = data["trajectories"], data["maps"], data["loops"]
     apart: Rows = [["", "mean", "median", "99 %", "max"]]
     for title, key in (("best alignment", "aligned"), ("as they are", "as_they_are")):
@@ -56,8 +56,11 @@ def _tables(data: dict[str, Any]) -> list[tuple[str, Rows]]:
     numbers: Rows = [["", a, b, "change"]]
     for key, row in data["summary"].items():
         share = f"{100.0 * row['change'] / row['a']:+.1f} %" if row["a"] else f"{row['change']:+.4g}"
-        name = " ".join(caption(part) for part in key.split("."))
-        numbers.append([name, f"{row['a']:.6g}", f"{row['b']:.6g}", share if row["change"] else "same"])
+        parts = key.split(".")
+        unit = unit_of(parts[-1]) or unit_of(parts[0])  # timings_s.map
+        name = " ".join(caption(part) for part in parts) + (f", {unit}" if unit else "")
+        values = (value_text(key, row[run], show_unit=False) for run in ("a", "b"))
+        numbers.append([name, *values, share if row["change"] else "same"])
     return [("Poses of one instant, apart", apart), ("What both have", counts), ("Summaries", numbers)]
 
 
@@ -70,7 +73,7 @@ def _png(comparison: Comparison) -> bytes:
 
 
 def _page(comparison: Comparison, tables: list[tuple[str, Rows]], png: bytes) -> str:
-    a, b = comparison.data["a"], comparison.data["b"]
+    a, b = shown(comparison.data["a"]), shown(comparison.data["b"])
     over = []
     for unit, values in (("m", comparison.apart_m), ("deg", comparison.apart_deg)):
         x, low, middle, high = binned(comparison.seconds, values, 120)

@@ -8,12 +8,23 @@ from html import escape
 import numpy as np
 
 from mfslam.evaluation.scores import Errors, Score
-from mfslam.evaluation.tables import Rows
+from mfslam.evaluation.tables import Rows, shown
 from mfslam.output.charts import Series, binned, line_chart
 from mfslam.output.page import html_page
 from mfslam.types import FloatArray
 
-COLOURS = ("c-scan", "c-loop", "c-odometry", "c-heading")  # of the style sheet, in the order of the results
+COLOURS = (
+    "c-scan",
+    "c-loop",
+    "c-good",
+    "c-heading",
+    "c-bad",
+    "c-unsure",
+    "c-odometry",
+    "c-rose",
+)  # of the style sheet, in order
+_BANDED = 3  # results whose bands can be told apart
+_NAMED = 4  # results that a title can name
 _POINTS = 3000  # of a path that is drawn
 _CDF = 200
 
@@ -22,7 +33,9 @@ def evaluation_page(
     scores: Sequence[Score], tables: Sequence[tuple[str, Rows]], against: str, x_label: str
 ) -> str:
     """All tables and plots; ``x_label``: what errors are drawn over."""
-    names = ", ".join(score.name for score in scores)
+    names = ", ".join(shown(score.name) for score in scores)
+    if len(scores) > _NAMED:
+        names = f"{len(scores)} results"
     body = [
         f"<header><h1>{escape(names)}</h1><p>held against {escape(against)} by mfslam evaluate</p></header>",
         _paths(scores),
@@ -38,11 +51,12 @@ def table_card(title: str, rows: Rows) -> str:
         f"<tr><th>{escape(row[0])}</th>{''.join(f'<td>{escape(cell)}</td>' for cell in row[1:])}</tr>"
         for row in rows[1:]
     )
-    return f'<div class="card span"><h3>{escape(title)}</h3><table><thead><tr>{head}</tr></thead>{body}</table></div>'
+    return f'<div class="card span"><h3>{escape(title)}</h3><table class="numbers"><thead><tr>{head}</tr></thead>{body}</table></div>'
 
 
 def colour(index: int) -> str:
-    return COLOURS[index % len(COLOURS)]
+    """Classes of a result's lines: dashed when the colours come round again."""
+    return COLOURS[index % len(COLOURS)] + (" dashed" if index >= len(COLOURS) else "")
 
 
 def card(title: str, note: str, content: str) -> str:
@@ -52,7 +66,7 @@ def card(title: str, note: str, content: str) -> str:
 def _plots(scores: Sequence[Score], x_label: str) -> list[str]:
     out = []
     for metric, what in (("relations", "relations"), ("poses", "poses, best alignment")):
-        errors = [(n, score.name, getattr(score, metric)) for n, score in enumerate(scores)]
+        errors = [(n, shown(score.name), getattr(score, metric)) for n, score in enumerate(scores)]
         drawn: list[tuple[int, str, Errors]] = [item for item in errors if item[2] is not None]
         if not drawn:
             continue
@@ -63,11 +77,12 @@ def _plots(scores: Sequence[Score], x_label: str) -> list[str]:
                 card(f"Error of {what} ({unit})", "Share of the errors that are below, in %.",
                      line_chart(curves, f"error ({unit})", "share below (%)", far))
             )  # fmt: skip
-            over = [_over(n, name, e.at, getattr(e, unit)) for n, name, e in drawn]
+            banded = len(drawn) <= _BANDED
+            over = [_over(n, name, e.at, getattr(e, unit), banded) for n, name, e in drawn]
             out.append(
                 card(
-                    f"Where the {what} err ({unit})",
-                    "Median, and 5 to 95 %.",
+                    f"Error of {what}, along the way ({unit})",
+                    "Median, and 5 to 95 %." if banded else "Median.",
                     line_chart(over, x_label, f"error ({unit})"),
                 )
             )
@@ -88,18 +103,22 @@ def _cumulative(index: int, name: str, values: FloatArray) -> Series:
     return Series(name, colour(index), np.percentile(values, share), share)
 
 
-def _over(index: int, name: str, at: FloatArray, values: FloatArray) -> Series:
+def _over(index: int, name: str, at: FloatArray, values: FloatArray, banded: bool) -> Series:
     x, low, middle, high = binned(at, values, 80)
-    return Series(name, colour(index), x, middle, low, high)
+    return Series(name, colour(index), x, middle, *((low, high) if banded else ()))
 
 
 def _drift(index: int, score: Score) -> Series:
     x = np.array([0.0, *(row.length_m for row in score.drift)])
-    return Series(score.name, colour(index), x, np.array([0.0, *(row.translation_m for row in score.drift)]))
+    return Series(
+        shown(score.name), colour(index), x, np.array([0.0, *(row.translation_m for row in score.drift)])
+    )
 
 
 def _paths(scores: Sequence[Score]) -> str:
-    drawn = [(score.name, colour(n), score.path) for n, score in enumerate(scores) if score.path is not None]
+    drawn = [
+        (shown(score.name), colour(n), score.path) for n, score in enumerate(scores) if score.path is not None
+    ]
     truth = next((score.true_path for score in scores if score.true_path is not None), None)
     if truth is not None:
         drawn.insert(0, ("truth", "c-expected", truth))

@@ -10,6 +10,13 @@ from mfslam.metrics import ErrorStats
 Rows = list[list[str]]
 _HEAD = ["", "matched", "mean", "std", "median", "99 %", "RMSE", "squared"]
 
+_LONGEST = 40  # letters of a name
+
+
+def shown(name: str) -> str:
+    """The name, without its middle when it is long."""
+    return name if len(name) <= _LONGEST else f"{name[:24]}...{name[-13:]}"
+
 
 def score_tables(scores: list[Score], differences: list[dict[str, Any]]) -> list[tuple[str, Rows]]:
     """Title and rows of every table that has something to say."""
@@ -48,7 +55,7 @@ def _relations(scores: list[Score], part: str, digits: int) -> Rows:
         error = score.relations_error
         if error is not None:
             count = f"{error.matched:,} of {error.matched + error.unmatched:,}"
-            rows.append([score.name, count, *_stats(getattr(error, part), digits)])
+            rows.append([shown(score.name), count, *_stats(getattr(error, part), digits)])
     return rows
 
 
@@ -59,7 +66,7 @@ def _absolute(scores: list[Score], part: str, digits: int) -> Rows:
             assert score.poses is not None
             count = f"{int(score.poses.matched.sum()):,} of {len(score.poses.matched):,}"
             named = {"none": "as it is", "origin": "first pose aligned", "best": "best alignment"}[alignment]
-            rows.append([f"{score.name}, {named}", count, *_stats(getattr(error, part), digits)])
+            rows.append([f"{shown(score.name)}, {named}", count, *_stats(getattr(error, part), digits)])
     return rows
 
 
@@ -70,7 +77,7 @@ def _relative(scores: list[Score]) -> Rows:
             m, deg = score.rpe.translation_m, score.rpe.rotation_deg
             rows.append(
                 [
-                    score.name,
+                    shown(score.name),
                     *(f"{v:.4f}" for v in (m.mean, m.rmse, m.p99)),
                     *(f"{v:.3f}" for v in (deg.mean, deg.rmse, deg.p99)),
                 ]
@@ -84,7 +91,7 @@ def _drift(scores: list[Score]) -> Rows:
     for score in scores:
         by_length = {row.length_m: f"{row.translation_m:.3f} / {row.rotation_deg:.2f}" for row in score.drift}
         if by_length:
-            rows.append([score.name, *(by_length.get(length, "-") for length in lengths)])
+            rows.append([shown(score.name), *(by_length.get(length, "-") for length in lengths)])
     return rows
 
 
@@ -94,7 +101,7 @@ def _nees(scores: list[Score]) -> Rows:
         if score.nees is not None:
             rows.append(
                 [
-                    score.name,
+                    shown(score.name),
                     f"{score.nees.poses:,}",
                     f"{score.nees.mean:.2f}",
                     f"{100 * score.nees.within:.0f} %",
@@ -107,10 +114,11 @@ def _differences(differences: list[dict[str, Any]]) -> Rows:
     rows = [["", "pairs", "mean difference", "95 % interval", "p", "verdict"]]
     for d in differences:
         low, high = d["interval_95"]
-        better = d["b"] if d["mean_difference"] < 0 else d["a"]
+        a, b = shown(d["a"]), shown(d["b"])
+        better = b if d["mean_difference"] < 0 else a
         verdict = f"{better} is better" if d["significant"] else "no real difference"
         rows.append([
-            f"{d['b']} minus {d['a']}, {d['metric']}, {d['unit']}", f"{d['pairs']:,}", f"{d['mean_difference']:+.4f}",
+            f"{b} minus {a}, {d['metric']}, {d['unit']}", f"{d['pairs']:,}", f"{d['mean_difference']:+.4f}",
             f"{low:+.4f} to {high:+.4f}", f"{d['p_value']:.3f}", verdict,
         ])  # fmt: skip
     return rows

@@ -20,6 +20,11 @@ def caption(key: str) -> str:
     return name.replace("_", " ").replace("-", " ")
 
 
+def unit_of(key: str) -> str:
+    """``travelled_m`` -> ``m``; nothing where the key names no unit."""
+    return _split(key)[1]
+
+
 def value_text(key: str, value: Any, show_unit: bool = True) -> str:
     """A value as a person reads it, with the unit that its key names."""
     unit = _split(key)[1]
