@@ -35,5 +35,5 @@ def place_of(args: argparse.Namespace) -> Place:
     """Where ``--view`` and ``--view-bind`` want the viewer. Raises MfslamError."""
     port = PORT if args.view is None else args.view
     if not 0 <= port <= 65535:
-        raise MfslamError(f"--view {port}: expected a port from 0 (any that is free) to 65535")
+        raise MfslamError(f"port {port} for the page: expected one from 0 (any that is free) to 65535")
     return Place(port, args.view_bind)

@@ -19,6 +19,7 @@ from mfslam.types import MfslamError
 TELL_EVERY_S = 0.25
 MOST_AT_ONCE = 200  # words that are taken from the line before the next is handled
 REST = 1.5  # times as long as it took, before the map is refined anew beside the mapping
+YOUNG = 0.5  # of the time since the first scan: a young map is drawn more often than it will be later
 
 
 class _Enough(Exception):
@@ -34,7 +35,8 @@ class BackEnd:
         self._unpacker = Unpacker()
         self._inbox: deque[Any] = deque()
         self._told_s = 0.0
-        self._copy_due_s = time.monotonic() + job.map_every_s
+        self._first_s: float | None = None  # when there was something to draw
+        self._copy_due_s = 0.0
         self._copied_keyframes = 0
         self._notes: list[str] = []
         self._told_number = -1
@@ -87,7 +89,7 @@ class BackEnd:
 
     def _look_after_copies(self) -> None:
         for found, wish, took_s in self._mapper.harvest():
-            self._copy_due_s = time.monotonic() + max(self._job.map_every_s, REST * took_s)
+            self._copy_due_s = time.monotonic() + self._rest_s(took_s)
             error = "the process that draws the map has died" if found is None else found.error
             if wish is not None:
                 self._say(Granted(wish.number, None if found is None else found.grid, error=error))
@@ -97,10 +99,16 @@ class BackEnd:
                 self._say(NewMap(found.grid))
             self._tell()
         count = len(self._mapper.slam.keyframes)
-        is_new = count > self._copied_keyframes or (count == 1 and not self._copied_keyframes)
-        if is_new and not self._mapper.copies and time.monotonic() > self._copy_due_s:
+        is_due = count > self._copied_keyframes and time.monotonic() > self._copy_due_s
+        if is_due and not self._mapper.copies:
             self._copied_keyframes = count
+            self._first_s = self._first_s or time.monotonic()
             self._mapper.start_copy()
+
+    def _rest_s(self, took_s: float) -> float:
+        """Until the next copy, after one that took so long."""
+        young_s = YOUNG * (time.monotonic() - (self._first_s or time.monotonic()))
+        return max(min(self._job.map_every_s, young_s), REST * took_s)
 
     def _tell(self) -> None:
         self._told_s = time.monotonic()
