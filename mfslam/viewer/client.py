@@ -73,7 +73,7 @@ class Viewer:
         with self._wake:
             self._closing = True
             self._wake.notify()
-        self._thread.join(2.0)
+        self._thread.join(LEAVE_S)
         self.process.end(LEAVE_S)
 
     def __enter__(self) -> Self:

@@ -21,7 +21,7 @@ from mfslam.metrics import ate
 from mfslam.slam import Slam
 from mfslam.types import Findings, MfslamError, Scan
 
-SCANS = 260
+SCANS = 200
 
 
 @pytest.fixture(scope="module")

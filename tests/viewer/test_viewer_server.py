@@ -24,6 +24,7 @@ from scenes import room, state
 from mfslam.output import read_map
 from mfslam.output.maps import grid_image, pgm_bytes, yaml_text
 from mfslam.types import MfslamError
+from mfslam.viewer import client
 from mfslam.viewer.client import Viewer
 from mfslam.viewer.hub import Hub
 from mfslam.viewer.place import Place, address
@@ -187,7 +188,8 @@ def test_a_wish_to_save_is_answered_and_a_killed_viewer_comes_back(tmp_path: Pat
         assert len(first_with(viewer.url, "map")["tiles"]) == 4
 
 
-def test_a_viewer_that_hangs_holds_up_nothing(tmp_path: Path) -> None:
+def test_a_viewer_that_hangs_holds_up_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client, "LEAVE_S", 0.3)
     viewer = Viewer(ANY, "robot", tmp_path)
     os.kill(viewer.process.pid, signal.SIGSTOP)
     grid = room(60.0)  # more than any buffer of a socket takes
