@@ -55,7 +55,7 @@ class Watching:
     def solving(self) -> None:
         """Nothing moves any more, though it is not the end."""
         if self.viewer is not None:
-            self.viewer.end("the drive is over: solving the whole map")
+            self.viewer.end("the drive is over: solving the whole map", last=False)
 
     def show_last(self, state: LiveState) -> None:
         if self.viewer is not None:

@@ -63,10 +63,11 @@ class Viewer:
             self._words.append(("answer", wish, {"error": error} if error is not None else {"text": text}))
             self._wake.notify()
 
-    def end(self, why: str) -> None:
-        """Nothing new will come, or not soon: ``why``, in words, stands on the page from then on."""
+    def end(self, why: str, last: bool = True) -> None:
+        """Nothing new will come, or not soon: ``why``, in words, stands on the page, if it is the ``last`` word also when
+        we have gone."""
         with self._wake:
-            self._words.append(("over", why))
+            self._words.append(("over", why, last))
             self._wake.notify()
 
     def close(self) -> None:

@@ -25,6 +25,7 @@ class Hub:
         self._answers: dict[int, Answer] = {}
         self._asked = 0
         self.over: str | None = None
+        self.last = False
         self.closing = False  # browsers are told what there is and let go
 
     @property
@@ -41,10 +42,10 @@ class Hub:
             self._number += 1
             self._changed.notify_all()
 
-    def end(self, why: str) -> None:
-        """Nothing new will come, or not soon; ``why`` in words."""
+    def end(self, why: str, last: bool = True) -> None:
+        """Nothing new will come, or not soon; ``why`` in words, and whether these are the last."""
         with self._changed:
-            self.over = why
+            self.over, self.last = why, last
             self._number += 1
             self._changed.notify_all()
 

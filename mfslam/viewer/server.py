@@ -254,7 +254,7 @@ class Handler(BaseHTTPRequestHandler):
             event = news(snapshot, has)
             event["browsers"] = self.server.browsers
             if show.hub.over is not None:
-                event["over"] = show.hub.over
+                event |= {"over": show.hub.over, "last": show.hub.last}
             self._event(event)
             time.sleep(LEAST_STEP_S)
 

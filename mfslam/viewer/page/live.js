@@ -8,6 +8,7 @@ export class Stream {
     this.stream = null;
     this.heardMs = this.movedMs = performance.now();
     this.over = null;
+    this.last = false;
     document.addEventListener("visibilitychange", () => (document.hidden ? this.close() : this.open()));
     setInterval(() => this.watch(), 500);
     this.open();
@@ -29,12 +30,14 @@ export class Stream {
     this.heardMs = performance.now();
     if (message.hello) {
       this.over = null;
+      this.last = false;
       this.mode = message.hello.mode;
       this.on.hello(message.hello);
       return;
     }
     if (message.robot) this.movedMs = this.heardMs;
     this.over = message.over ?? null;
+    this.last = message.last ?? false; // no more will be said
     this.on.news(message);
     this.watch();
   }
@@ -45,10 +48,11 @@ export class Stream {
     if (!this.stream) return;
     const closed = this.stream.readyState === EventSource.CLOSED || silent > 4 * SILENT_MS;
     if (closed && silent > SILENT_MS) this.open();
-    if (this.over) {
-      this.on.link(this.over, "wait");
-    } else if (closed || this.stream.readyState === EventSource.CONNECTING || silent > SILENT_MS) {
+    const lost = closed || this.stream.readyState === EventSource.CONNECTING || silent > SILENT_MS;
+    if (lost && !this.last) {
       this.on.link("no connection: trying again", "bad");
+    } else if (this.over) {
+      this.on.link(this.over, "wait");
     } else if (this.mode === "run") {
       this.on.link("finished run", "wait");
     } else if (still > STALE_MS) {
