@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -127,3 +129,52 @@ def test_check_fails_when_accuracy_fell_by_more_than_a_tenth(
     page.write_text("no table")
     assert benchmark.main() == 1
     assert "holds no table of log, relations" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("figure", ["mean m", "median m", "mean deg", "median deg"])
+@pytest.mark.parametrize(
+    ("worse", "is_told"), [(1.05, False), (1.09, False), (1.11, True), (2.0, True), (0.5, False)]
+)
+def test_a_tenth_is_the_line_for_every_figure_that_is_checked(
+    benchmark: ModuleType, tmp_path: Path, figure: str, worse: float, is_told: bool
+) -> None:
+    runs, check = (importlib.import_module(f"benchmarking.{name}") for name in ("runs", "check"))
+
+    def outcome(factor: float) -> Any:
+        part, key = ("translation_m" if figure.endswith("m") else "rotation_deg"), figure.split()[0]
+        relations: dict[str, Any] = {
+            "matched": 90, "unmatched": 10,
+            "translation_m": {"mean": 0.1, "median": 0.08, "p99": 0.4},
+            "rotation_deg": {"mean": 1.0, "median": 0.8, "p99": 4.0},
+        }  # fmt: skip
+        relations[part][key] *= factor
+        return runs.Outcome("office", "deskew on", True, relations=relations)
+
+    page = tmp_path / "b.md"
+    tables = importlib.import_module("benchmarking.tables")
+    benchmark.write_markdown(page, [("Relations error", tables.accuracy_table([outcome(1.0)]))], "command")
+    complaints = check.complaints([outcome(worse)], page)
+    assert len(complaints) == is_told
+    assert all(f"office: {figure} is" in line for line in complaints)
+
+
+def test_tables_of_graphs_reach_the_page_row_by_row(
+    benchmark: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    graphs = importlib.import_module("benchmark_graphs")
+    page = tmp_path / "b.md"
+    page.write_text("\n".join(f"<!-- graphs-{name}: {end} -->" for name in "ab" for end in ("begin", "end")))
+    (tmp_path / "pose_graphs").mkdir()
+
+    def ends_early(folder: Path) -> Iterator[list[str]]:
+        yield ["graph", "chi2"]
+        yield ["ring", "1.5"]
+        raise MfslamError("stopped")
+
+    monkeypatch.setattr(graphs, "TABLES", {"a": ("First", ends_early), "b": ("Second", ends_early)})
+    command = ["benchmark_graphs.py", "--data", str(tmp_path), "--markdown", str(page)]
+    for name in ("a", "b"):
+        monkeypatch.setattr(sys, "argv", [*command, "--only", name])
+        assert graphs.main() == 1
+        assert capsys.readouterr().err == "benchmark_graphs: stopped\n"
+    assert page.read_text().count("| ring | 1.5 |") == 2
