@@ -142,7 +142,8 @@ def test_options_of_optimize(
     assert message in told(capsys, "optimize", "good.g2o", *args)
 
 
-def test_a_far_first_guess_does_not_hide_what_the_edges_say(good: Path) -> None:
+@pytest.mark.parametrize("start", ["auto", "file"])
+def test_a_far_first_guess_does_not_hide_what_the_edges_say(good: Path, start: str) -> None:
     Path("far.g2o").write_text(GRAPH.replace("VERTEX_SE2 1 1", "VERTEX_SE2 1 1e8"))
-    assert main(["optimize", "far.g2o", "-q", "-o", "out.g2o"]) == 0
+    assert main(["optimize", "far.g2o", "-q", "--start", start, "-o", "out.g2o"]) == 0
     np.testing.assert_allclose(read_graph(Path("out.g2o")).world_T_pose[1], [1.0, 0.0, 0.0], atol=1e-6)

@@ -9,11 +9,13 @@ import gtsam
 import numpy as np
 
 import factors
+from mfslam.graph.gauss_newton import step
 from mfslam.pose_graphs.data import Problem
 from mfslam.types import FloatArray, MfslamError
 
 HELD_SIGMAS = np.full(3, 1e-4)  # of a pose that only says where the graph is: it costs nothing to hold it
 _SAME = 1e-5  # relative decrease of chi2 at which a solve has arrived, as in gtsam
+_STUCK = 0.99  # of chi2: what a step from an optimum cannot reach
 _NOTHING = 1e-10  # chi2 that is zero but for rounding
 MAX_ITERATIONS = 200
 
@@ -123,6 +125,13 @@ def solve(
     graph, values = factor_graph(problem, weights, kernel), values_of(start)
     poses, steps, arrived = _levenberg_marquardt(graph, values, max_iterations)
     used = np.ones(len(problem.i)) if weights is None else weights
+    if (
+        kernel is None and len(steps) == 2
+    ):  # it stands still: at the optimum, or too far away for gtsam's pivots
+        moved = step(problem, poses, used)
+        if float(used @ problem.chi2(moved)) < _STUCK * steps[-1]:
+            poses, more, arrived = _levenberg_marquardt(graph, values_of(moved), max_iterations)
+            steps += more
     if kernel is not None:
         used = used * kernel_weights(problem, poses, kernel)
     return Solution(poses, used, steps, time.process_time() - began, arrived)
