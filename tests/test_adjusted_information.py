@@ -27,7 +27,7 @@ def adjusted() -> tuple[np.ndarray, Solver, np.ndarray]:
     equations.hold(0)
     solver = Solver(poses, 1)
     solver.take([equations.matrix()])
-    return poses, solver, np.linalg.inv(equations.matrix().toarray())
+    return poses, solver, np.linalg.inv(equations.matrix().whole().toarray())
 
 
 def test_two_levels_are_near_the_whole():

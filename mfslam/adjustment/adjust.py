@@ -10,12 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from mfslam import icp, se2
-from mfslam.adjustment.equations import Equations, Solver, block_matrix
+from mfslam.adjustment.equations import Equations, HalfMatrix, Solver
 from mfslam.adjustment.wheels import WheelTerms, between_jacobians
 from mfslam.kernels import partners, wall_patches
 from mfslam.kernels.poses import transform_points
@@ -109,7 +108,7 @@ def adjust(
         _add_edges(equations, edges, poses)
         equations.hold(0)
         solver.take([walls, equations.matrix()])
-        step = solver.solve(equations.rhs.ravel()).reshape(-1, 3)
+        step = solver.solve(equations.rhs.reshape(-1, 1)).reshape(-1, 3)
         moved = se2.compose(poses, se2.exp(step[:count]))
         change_m = _change_m(poses, moved)
         poses = moved
@@ -158,7 +157,7 @@ def _patches(
 
 def _wall_equations(
     points: _Points, poses: FloatArray, kernel_m: float, noise: Noise, unknowns: int
-) -> tuple[Any, FloatArray, _Residuals]:
+) -> tuple[HalfMatrix, FloatArray, _Residuals]:
     """What the walls say of the poses: information, right-hand side (K, 3), and what is left of the points."""
     lines, patch = _patches(points, poses, kernel_m, noise)
     scan_of, patch_of, sums = wall_patches.group_sums(
@@ -167,7 +166,7 @@ def _wall_equations(
     )  # fmt: skip
     first, columns, blocks, rhs = wall_patches.pose_equations(len(poses), len(lines), scan_of, patch_of, sums)
     residuals = _Residuals(patch_of, sums[:, 20:24].copy(), len(lines))
-    return block_matrix(first, columns, blocks, unknowns), rhs, residuals
+    return HalfMatrix(first, columns, blocks).with_rows(unknowns), rhs, residuals
 
 
 def _add_edges(equations: Equations, edges: Sequence[Edge], poses: FloatArray) -> None:

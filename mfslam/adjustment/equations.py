@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from mfslam import se2
-from mfslam.kernels import block_cholesky
-from mfslam.types import FloatArray, IntArray
+from mfslam.kernels import half_matrix
+from mfslam.types import BoolArray, FloatArray, IntArray
 
 HELD = 1e10  # information that nails an unknown
 RELATIVE_ERROR, MOST_STEPS = 1e-4, 200  # of conjugate gradients
@@ -43,23 +44,44 @@ class Equations:
         at, still = np.array([number]), np.eye(3)[None]
         self.add([(at, still)], np.zeros((1, 3)), HELD * still)
 
-    def matrix(self) -> Any:
-        """H as a scipy BSR matrix of 3x3 blocks."""
+    def matrix(self) -> HalfMatrix:
+        """H, of 3x3 blocks."""
         rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
+        lower = np.flatnonzero(columns <= rows)
         count = len(self.rhs)
-        key, which = np.unique(rows * count + columns, return_inverse=True)
+        key, which = np.unique(rows[lower] * count + columns[lower], return_inverse=True)
         blocks = np.zeros((len(key), 3, 3))
-        np.add.at(blocks, which, np.concatenate(self._blocks))
-        return block_matrix(np.searchsorted(key // count, np.arange(count + 1)), key % count, blocks, count)
+        np.add.at(blocks, which, np.concatenate(self._blocks)[lower])
+        return HalfMatrix(np.searchsorted(key // count, np.arange(count + 1)), key % count, blocks)
 
 
-def block_matrix(first: IntArray, columns: IntArray, blocks: FloatArray, count: int) -> Any:
-    """Sparse matrix of ``count`` rows and columns of 3x3 blocks, from compressed rows of them (the last rows may
-    be left out)."""
-    from scipy.sparse import bsr_matrix
+@dataclass(frozen=True, eq=False)
+class HalfMatrix:
+    """A symmetric matrix of N rows of 3x3 blocks, of which the lower half is kept: ``first`` block of each row (N + 1,),
+    ``columns`` (B,) of the ``blocks`` (B, 3, 3)."""
 
-    starts = np.concatenate([first, np.full(count + 1 - len(first), first[-1])])
-    return bsr_matrix((blocks, columns, starts), shape=(3 * count, 3 * count))
+    first: IntArray
+    columns: IntArray
+    blocks: FloatArray
+
+    def with_rows(self, count: int) -> HalfMatrix:
+        """The matrix with empty rows at its end, ``count`` in all."""
+        more = np.full(count + 1 - len(self.first), self.first[-1])
+        return HalfMatrix(np.concatenate([self.first, more]), self.columns, self.blocks)
+
+    def whole(self) -> Any:
+        """Both halves, as a scipy CSR matrix (3 N, 3 N)."""
+        from scipy.sparse import bsr_matrix
+
+        count = len(self.first) - 1
+        rows = np.repeat(np.arange(count), np.diff(self.first))
+        above = np.flatnonzero(rows != self.columns)
+        lower = bsr_matrix((self.blocks, self.columns, self.first), shape=(3 * count, 3 * count))
+        order = above[np.argsort(self.columns[above], kind="stable")]
+        starts = np.searchsorted(self.columns[order], np.arange(count + 1))
+        mirrored = np.ascontiguousarray(np.swapaxes(self.blocks[order], 1, 2))
+        upper = bsr_matrix((mirrored, rows[order], starts), shape=lower.shape)
+        return lower.tocsr() + upper.tocsr()
 
 
 class Solver:
@@ -77,86 +99,91 @@ class Solver:
         carried = se2.adjoint(se2.between(world_T_body, world_T_body[middle]))
         carried = np.concatenate([carried, np.tile(np.eye(3), (others, 1, 1))])
         coarse = np.concatenate([stretch, stretch[-1] + 1 + np.arange(others)])
+        self._carried, self._coarse_of = carried, coarse
         three = np.arange(3)
         rows = np.broadcast_to(3 * np.arange(count + others)[:, None, None] + three[:, None], carried.shape)
         columns = np.broadcast_to(3 * coarse[:, None, None] + three, carried.shape)
         shape = (3 * len(coarse), 3 * int(coarse[-1] + 1))
         self._carry = csr_matrix((carried.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
-        self._parts: list[Any] = []
+        self._carry_back = self._carry.T.tocsr()
+        self._parts: list[HalfMatrix] = []
+        self._coarse: Any = None
+        self._within: FloatArray | None = None
         self._precondition: Callable[[FloatArray], FloatArray] = np.copy
 
     def forget(self) -> None:
         """Give the matrix back."""
-        self._parts, self._precondition = [], np.copy
+        self._parts, self._coarse, self._within, self._precondition = [], None, None, np.copy
 
-    def take(self, parts: Sequence[Any]) -> None:
-        """The next matrix, as the sum of its parts (`block_matrix`). Raises RuntimeError where it is singular."""
+    def take(self, parts: Sequence[HalfMatrix]) -> None:
+        """The next matrix, as the sum of its parts. Raises RuntimeError where it is singular."""
         from scipy.sparse.linalg import splu
 
         self._parts = list(parts)
-        carry, coarse = self.coarse()
-        carry_back = carry.T.tocsr()
-        factors: Any = splu(
-            coarse.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        unknowns = len(self._coarse_of)
+        count, size = -(-unknowns // STRETCH), 3 * STRETCH
+        within = np.zeros((count, size, size))
+        coarse = [
+            HalfMatrix(
+                *half_matrix.add_stretches(
+                    part.first, part.columns, part.blocks, STRETCH, self._carried, self._coarse_of, within
+                )
+            )
+            for part in self._parts
+        ]
+        filled_up = np.arange(3 * unknowns, count * size) % size
+        within[-1, filled_up, filled_up] = 1.0
+        self._coarse, self._within = sum(part.whole() for part in coarse), within
+        factors: Any = splu(  # the matrix is symmetric: its rows are its columns
+            self._coarse.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
-        own = np.linalg.inv(self.within_stretches())
-        count, size = own.shape[:2]
+        own = np.linalg.inv(within)
 
         def precondition(rhs: FloatArray) -> FloatArray:
-            padded = np.zeros((count, size, 1))
-            padded.ravel()[: len(rhs)] = rhs
-            single = (own @ padded).ravel()[: len(rhs)]
-            return np.asarray(single + carry @ factors.solve(carry_back @ rhs))
+            padded = np.zeros((count, size, rhs.shape[1]))
+            padded.reshape(-1, rhs.shape[1])[: len(rhs)] = rhs
+            single = (own @ padded).reshape(-1, rhs.shape[1])[: len(rhs)]
+            return np.asarray(single + self._carry @ factors.solve(self._carry_back @ rhs))
 
         self._precondition = precondition
 
     def coarse(self) -> tuple[Any, Any]:
         """How stretches carry the unknowns (3 U, 3 C), and their information (3 C, 3 C): sparse."""
-        carry_back = self._carry.T.tocsr()
-        return self._carry, sum(carry_back @ part.tocsr() @ self._carry for part in self._parts).tocsr()
+        return self._carry, self._coarse
 
     def within_stretches(self) -> FloatArray:
-        """(C, 3 STRETCH, 3 STRETCH) information of the unknowns of each stretch, all others being held."""
-        count = -(-self._parts[0].shape[0] // (3 * STRETCH))
-        return np.asarray(sum(_within_stretches(part, count) for part in self._parts))
+        """(C, 3 STRETCH, 3 STRETCH) information of the unknowns of each stretch, all others being held; filled up with
+        ones at its end."""
+        assert self._within is not None
+        return self._within.copy()
 
     def _times(self, x: FloatArray) -> FloatArray:
         out = np.zeros_like(x)
         for part in self._parts:
-            block_cholesky.add_product(part.indptr, part.indices, part.data, x, out)
+            half_matrix.add_product(part.first, part.columns, part.blocks, x, out)
         return out
 
     def solve(self, rhs: FloatArray, relative_error: float = RELATIVE_ERROR) -> FloatArray:
+        """x of H x = ``rhs`` (3 U, R), of R right-hand sides at once: reading H is what takes time."""
         x, left = np.zeros_like(rhs), rhs.copy()
-        if not rhs.any():
-            return x
         # sums of products, not BLAS: its threads cost more than they bring here
-        least = relative_error**2 * np.sum(rhs * rhs)
-        near = self._precondition(left)
-        direction, before = near, np.sum(left * near)
+        least = relative_error**2 * np.sum(rhs * rhs, axis=0)
+        direction = np.zeros_like(rhs)
+        before = np.full(rhs.shape[1], np.inf)
         for _ in range(MOST_STEPS):
-            ahead = self._times(direction)
-            step = before / np.sum(direction * ahead)
-            x += step * direction
-            left -= step * ahead
-            if not np.sum(left * left) > least:
+            goes_on = np.sum(left * left, axis=0) > least
+            if not goes_on.any():
                 break
             near = self._precondition(left)
-            after = np.sum(left * near)
-            direction = near + (after / before) * direction
+            after = np.sum(left * near, axis=0)
+            direction = near + _ratio(after, before, goes_on) * direction
             before = after
+            ahead = self._times(direction)
+            step = _ratio(after, np.sum(direction * ahead, axis=0), goes_on)
+            x += step * direction
+            left -= step * ahead
         return x
 
 
-def _within_stretches(matrix: Any, count: int) -> FloatArray:
-    """(count, 3 STRETCH, 3 STRETCH) diagonal blocks of the matrix, filled up with ones at its end."""
-    rows = np.repeat(np.arange(len(matrix.indptr) - 1), np.diff(matrix.indptr))
-    columns = matrix.indices
-    inside = rows // STRETCH == columns // STRETCH
-    rows, columns = rows[inside], columns[inside]
-    out = np.zeros((count, STRETCH, 3, STRETCH, 3))
-    out[rows // STRETCH, rows % STRETCH, :, columns % STRETCH, :] = matrix.data[inside]
-    square = out.reshape(count, 3 * STRETCH, 3 * STRETCH)
-    for row in range(matrix.shape[0] % (3 * STRETCH) or 3 * STRETCH, 3 * STRETCH):
-        square[-1, row, row] = 1.0
-    return square
+def _ratio(a: FloatArray, b: FloatArray, where: BoolArray) -> FloatArray:
+    return np.divide(a, b, out=np.zeros_like(a), where=where)

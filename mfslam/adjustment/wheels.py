@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -117,45 +118,19 @@ class WheelTerms:
         if not self._learn or not len(self._first):
             return
         error, variances = self.error(poses, self.errors), self.variances()
-        by_step, _ = self._shares(poses, solver, unknowns, self.i, self.j, error, variances)
         carried = (
             (self._carry @ error[:, :, None])[:, :, 0],
             (self._carry**2 @ variances[:, :, None])[:, :, 0],
         )
         of_windows = [np.add.reduceat(terms, self._starts)[self._whole] for terms in carried]
-        by_window, sigma = self._shares(
-            poses, solver, unknowns, self.i[self._first], self.j[self._last], *of_windows
-        )
-        self.share = np.maximum(np.maximum(by_step, by_window * (1.0 - 2.0 * sigma)), LEAST_SHARE)
-
-    def _shares(
-        self, poses: FloatArray, solver: Solver, unknowns: int, a: IntArray, b: IntArray, error: FloatArray,
-        variances: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-        """(3,) shares by the errors (N, 3) of motions from keyframes ``a`` to ``b``, and their relative sigmas.
-
-        E(sum e^2 / v) is the number of errors less trace(C A), what the fit has taken of them; C the
-        covariance of all unknowns, A the errors' own information, the trace by random probes.
-        """
-        before, after = between_jacobians(se2.between(poses[a], poses[b]))
-        random = np.random.default_rng(0)
-        probes = math.ceil(PROBED / len(a))
-        share, relative_sigma = self.share.copy(), np.zeros(3)
-        for c in range(3):
-            sigma = np.sqrt(variances[:, c])
-            taken = 0.0
-            for _ in range(probes):
-                u = (random.integers(0, 2, len(a)) * 2.0 - 1.0) / sigma
-                probe = np.zeros((unknowns, 3))
-                np.add.at(probe, a, u[:, None] * before[:, c])
-                np.add.at(probe, b, u[:, None] * after[:, c])
-                taken += float(probe.ravel() @ solver.solve(probe.ravel(), PROBE_ERROR)) / probes
-            left = max(0.0, len(a) - taken)
-            normalised = error[:, c] ** 2 / variances[:, c]
-            chi2 = float(np.sum(normalised / (1.0 + normalised / KERNEL_SIGMAS**2)))
-            share[c] *= (PRIOR / share[c] + chi2) / (PRIOR + left)
-            relative_sigma[c] = math.sqrt(2.0 / (PRIOR + left))
-        return share, relative_sigma
+        by_step = _Motions(poses, self.i, self.j, error, variances)
+        by_window = _Motions(poses, self.i[self._first], self.j[self._last], *of_windows)
+        probes = [motions.probes(unknowns) for motions in (by_step, by_window)]
+        ends = solver.solve(np.concatenate(probes, axis=1), PROBE_ERROR)
+        cut = probes[0].shape[1]
+        share, _ = by_step.share(self.share, probes[0], ends[:, :cut])
+        lasting, sigma = by_window.share(self.share, probes[1], ends[:, cut:])
+        self.share = np.maximum(np.maximum(share, lasting * (1.0 - 2.0 * sigma)), LEAST_SHARE)
 
     def _cut_windows(self) -> None:
         """Windows of unbroken driving: first step of each (``_starts``), which of them are ``_whole``, their
@@ -180,6 +155,45 @@ class WheelTerms:
                 rest = se2.compose(self.told[k], rest)
         self._starts, self._whole = np.array(starts, dtype=np.int64), np.array(whole, dtype=np.bool_)
         self._first, self._last = self._starts[self._whole], np.array(last, dtype=np.int64)[self._whole]
+
+
+@dataclass(frozen=True, eq=False)
+class _Motions:
+    """Errors (N, 3) of motions from keyframes ``a`` to ``b`` (N,), and the variances they were given.
+
+    E(sum e^2 / v) is the number of errors less trace(C A), what the fit has taken of them; C the
+    covariance of all unknowns, A the errors' own information, the trace by random probes.
+    """
+
+    poses: FloatArray
+    a: IntArray
+    b: IntArray
+    error: FloatArray
+    variances: FloatArray
+
+    def probes(self, unknowns: int) -> FloatArray:
+        """(3 ``unknowns``, 3 P): P of x, then of y, then of theta."""
+        before, after = between_jacobians(se2.between(self.poses[self.a], self.poses[self.b]))
+        count = len(self.a)
+        each = math.ceil(PROBED / count)
+        signs = np.random.default_rng(0).integers(0, 2, (3 * each, count)) * 2.0 - 1.0
+        out = np.zeros((3 * each, unknowns, 3))
+        for n, sign in enumerate(signs):
+            c = n // each
+            u = (sign / np.sqrt(self.variances[:, c]))[:, None]
+            np.add.at(out[n], self.a, u * before[:, c])
+            np.add.at(out[n], self.b, u * after[:, c])
+        return np.ascontiguousarray(out.reshape(3 * each, -1).T)
+
+    def share(
+        self, share: FloatArray, probes: FloatArray, solved: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(3,) shares of the variances, from those assumed, and their relative sigmas; ``solved``: C times the probes."""
+        taken = np.sum(probes * solved, axis=0).reshape(3, -1).mean(axis=1)
+        left = np.maximum(0.0, len(self.a) - taken)
+        normalised = self.error**2 / self.variances
+        chi2 = np.sum(normalised / (1.0 + normalised / KERNEL_SIGMAS**2), axis=0)
+        return (PRIOR + share * chi2) / (PRIOR + left), np.sqrt(2.0 / (PRIOR + left))
 
 
 def between_jacobians(i_T_j: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -120,22 +120,6 @@ def factorise(first: IntArray, rows: IntArray, diagonal: FloatArray, below: Floa
 
 
 @njit(cache=True, nogil=True)
-def add_product(
-    first: IntArray, columns: IntArray, blocks: FloatArray, x: FloatArray, out: FloatArray
-) -> None:
-    """out += A x of vectors (3 N,); A by compressed rows: first block of each row (N + 1,), ``columns`` and ``blocks`` (B, 3, 3)."""
-    for k in range(first.shape[0] - 1):
-        y0, y1, y2 = out[3 * k], out[3 * k + 1], out[3 * k + 2]
-        for b in range(first[k], first[k + 1]):
-            c = 3 * columns[b]
-            x0, x1, x2 = x[c], x[c + 1], x[c + 2]
-            y0 += blocks[b, 0, 0] * x0 + blocks[b, 0, 1] * x1 + blocks[b, 0, 2] * x2
-            y1 += blocks[b, 1, 0] * x0 + blocks[b, 1, 1] * x1 + blocks[b, 1, 2] * x2
-            y2 += blocks[b, 2, 0] * x0 + blocks[b, 2, 1] * x1 + blocks[b, 2, 2] * x2
-        out[3 * k], out[3 * k + 1], out[3 * k + 2] = y0, y1, y2
-
-
-@njit(cache=True, nogil=True)
 def substitute(
     first: IntArray, rows: IntArray, diagonal: FloatArray, below: FloatArray, x: FloatArray
 ) -> None:

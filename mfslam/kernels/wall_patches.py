@@ -214,8 +214,8 @@ def pose_equations(
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
     """What the patches say of the poses, their lines being eliminated (Schur complement).
 
-    Returns the information as compressed rows of blocks: first block of each row (K + 1,), column of each
-    block, the blocks (B, 3, 3); and the right-hand side (K, 3).
+    Returns the information as the lower half of its rows of blocks: first block of each row (K + 1,), column of
+    each block, the blocks (B, 3, 3); and the right-hand side (K, 3).
     """
     groups = patch_of.shape[0]
     root, rooted = _roots(patches, patch_of, sums)
@@ -242,10 +242,9 @@ def pose_equations(
     for g in range(groups):  # groups come in order of scans, so they do within each patch
         by_patch[fill[patch_of[g]]] = g
         fill[patch_of[g]] += 1
-    # a row has its diagonal first, then what is left of it, then, by rising column, what is right of it
-    first, left, right = np.zeros(scans + 1, np.int64), np.zeros(scans, np.int64), np.zeros(scans, np.int64)
-    mark = np.full(scans, -1, np.int64)
+    first, mark = np.zeros(scans + 1, np.int64), np.full(scans, -1, np.int64)
     for k in range(scans):
+        first[k + 1] = first[k] + 1
         for g in range(row_first[k], row_first[k + 1]):
             q = patch_of[g]
             if root[q, 0] == 0.0:
@@ -256,16 +255,12 @@ def pose_equations(
                     break
                 if mark[other] != k:
                     mark[other] = k
-                    left[k] += 1
-                    right[other] += 1
-    for k in range(scans):
-        first[k + 1] = first[k] + 1 + left[k] + right[k]
-        right[k] = first[k] + 1 + left[k]  # from here on: where the next one goes
+                    first[k + 1] += 1
     column, blocks = np.empty(first[scans], np.int64), np.zeros((first[scans], 3, 3))
     slot = np.full(scans, -1, np.int64)
     for k in range(scans):
         free = first[k] + 1
-        column[first[k]] = k
+        column[first[k]] = k  # a row has its diagonal first
         slot[k] = first[k]
         for g in range(row_first[k], row_first[k + 1]):
             q = patch_of[g]
@@ -277,7 +272,7 @@ def pose_equations(
                 if other > k:  # the mirror image of what that row will have
                     break
                 b = slot[other]
-                if b < first[k] or b >= free or column[b] != other:
+                if b < first[k]:
                     b = free
                     free += 1
                     slot[other] = b
@@ -296,11 +291,4 @@ def pose_equations(
                     blocks[b, 1, 2] += own[4]
                     blocks[b, 2, 1] += own[4]
                     blocks[b, 2, 2] += own[5]
-        for b in range(first[k] + 1, free):
-            mirror = right[column[b]]
-            right[column[b]] += 1
-            column[mirror] = k
-            for u in range(3):
-                for v in range(3):
-                    blocks[mirror, u, v] = blocks[b, v, u]
     return first, column, blocks, rhs

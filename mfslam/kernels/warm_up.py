@@ -20,6 +20,7 @@ from mfslam.kernels import (
     evidence,
     glass,
     graph_terms,
+    half_matrix,
     matrices,
     partners,
     patches,
@@ -154,9 +155,9 @@ def _call_graph() -> None:
     graph_terms.edge_chi2(*edge, np.zeros((3, 3)))
     graph_terms.normal_equations(*edge, np.ones(1), np.zeros((3, 3)), place, one, 1.0, diagonal, below, rhs)
     block_cholesky.factorise(first, rows, diagonal, below)
-    block_cholesky.add_product(
-        np.array([0, 1], np.int32), np.zeros(1, np.int32), diagonal[:1], np.zeros(3), np.zeros(3)
-    )
+    lower = np.array([0, 1]), one, diagonal[:1]
+    half_matrix.add_product(*lower, np.zeros((3, 1)), np.zeros((3, 1)))
+    half_matrix.add_stretches(*lower, 1, diagonal[:1], one, np.zeros((1, 3, 3)))
     block_cholesky.substitute(first, rows, diagonal, below, rhs)
     graph_terms.moved_poses(np.zeros((3, 3)), place, rhs)
     path = block_cholesky.path_columns(first, rows, below, one, np.eye(3)[None])
