@@ -132,7 +132,7 @@ def _odometry(fields: list[bytes]) -> Odometry:
     """ODOM x y theta tv rv accel stamp host [logger's stamp]."""
     if len(fields) not in (9, 10):
         raise ValueError("number of fields")
-    pose = np.array([float(fields[1]), float(fields[2]), float(fields[3])])
-    if not np.isfinite(pose).all():
+    x, y, theta = float(fields[1]), float(fields[2]), float(fields[3])
+    if not math.isfinite(x + y + theta):
         raise ValueError("pose is not a number")
-    return Odometry(stamp_ns(fields[7]), pose)
+    return Odometry(stamp_ns(fields[7]), np.array([x, y, theta]))

@@ -49,17 +49,10 @@ def deskew(scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: 
     if config.mode == "range":
         # eqs. 19-24: e_d = v (t_j - t_ref), one number along the beam whatever its bearing
         ranges_m = (ranges_m + body_twist[0] * times_s).astype(np.float32)
-    points, beams = kernels.project_beams(
-        ranges_m, laser.angles_rad, times_s, laser.body_T_laser, twist, laser.range_min_m, laser.range_max_m
-    )
-    normals = kernels.estimate_normals(
-        points, beams, laser.body_T_laser, _beam_step_rad(laser), laser.range_sigma_m
-    )
-    if spacing_m > 0.0:
-        keep = kernels.thin_points(
-            points, normals, beams, laser.body_T_laser, _beam_step_rad(laser), spacing_m
-        )
-        points, normals, beams = points[keep], normals[keep], beams[keep]
+    points, normals, beams = kernels.oriented_points(
+        ranges_m, _directions(laser), times_s, laser.body_T_laser, twist, laser.range_min_m, laser.range_max_m,
+        _beam_step_rad(laser), laser.range_sigma_m, spacing_m,
+    )  # fmt: skip
     reference_ns = scan.stamp_ns + round(reference_offset_s(laser) * 1e9)
     return DeskewedScan(reference_ns, points, normals, beams)
 
@@ -67,3 +60,10 @@ def deskew(scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: 
 @lru_cache(maxsize=64)
 def _beam_step_rad(laser: Laser) -> float:
     return float(np.median(np.abs(np.diff(laser.angles_rad)))) if laser.angles_rad.size > 1 else 0.0
+
+
+@lru_cache(maxsize=64)
+def _directions(laser: Laser) -> FloatArray:
+    """(N, 2) unit vectors along the beams, in the axes of the body."""
+    bearings_rad = laser.angles_rad + laser.body_T_laser[2]
+    return np.stack([np.cos(bearings_rad), np.sin(bearings_rad)], axis=1)

@@ -132,7 +132,6 @@ def reading_cost(slam: Slam) -> list[dict[str, float]]:
 
 def leave(outcome: Outcome, config: Config, folder: Path, json_file: Path | None) -> None:
     """Write the folder, and the summary where else it is wanted."""
-    give_memory_back()
     write_run(outcome.result, config, folder, outcome.summary)
     if json_file is not None:
         write_atomically(json_file, json_text(outcome.summary).encode())

@@ -30,8 +30,8 @@ def free_motion_sigmas(dt_s: float) -> FloatArray:
 
 def reach(dt_s: float) -> tuple[float, float]:
     """How far (m, rad) a robot can be from where its inertia would have carried it."""
-    sigmas = REACH_SIGMAS * free_motion_sigmas(max(dt_s, LEAST_S))
-    return float(max(sigmas[0], sigmas[1])), min(float(sigmas[2]), math.pi)
+    x, y, theta = (REACH_SIGMAS * free_motion_sigmas(max(dt_s, LEAST_S))).tolist()
+    return max(x, y), min(theta, math.pi)
 
 
 def coasted(last_step: FloatArray, last_dt_s: float, dt_s: float) -> FloatArray:
@@ -47,8 +47,8 @@ def is_likely(step: FloatArray, last_step: FloatArray, coasting: FloatArray, dt_
     """Whether inertia allows a step (3,), be it counted by scans or by stamps, of which some lie."""
     half_m, half_rad = reach(dt_s)
     for expected in (last_step, coasting):
-        off = poses.between(expected, step)
-        if math.hypot(off[0], off[1]) <= half_m and abs(off[2]) <= half_rad:
+        x, y, theta = poses.between(expected, step).tolist()
+        if math.hypot(x, y) <= half_m and abs(theta) <= half_rad:
             return True
     return False
 

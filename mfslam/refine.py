@@ -9,14 +9,13 @@ from typing import cast
 
 import numpy as np
 
-from mfslam import icp
+from mfslam import icp, se2
 from mfslam.adjustment import Adjusted, AdjustedInformation, Noise, WheelTerms, adjust
 from mfslam.config import Config, IcpConfig
 from mfslam.deskew import deskew
 from mfslam.frontend import Keyframe, merged_surface
-from mfslam.kernels import poses
 from mfslam.scan_motion import ADJUSTED_SIGMAS, MATCHED_SIGMAS
-from mfslam.types import DeskewedScan, Edge, FloatArray, IntArray, Scan
+from mfslam.types import DeskewedScan, Edge, FloatArray, IntArray, Match, Scan
 from mfslam.wheel_errors import WheelErrors, WheelStep
 
 # how well a scan between keyframes is known before (m, m, rad)
@@ -94,10 +93,11 @@ def localise_between(
     ``world_T_body`` (S, 3) where every scan stands so far, at its reference instant.
     """
     out = world_T_body.copy()
-    sigmas = np.tile(MATCHED_SIGMAS, (len(scans), 1))
     index: IntArray = np.array([k.scan_index for k in keyframes], dtype=np.int64)
     around = _around(world_T_body[index])
     loose = np.diag(LOCALISE_SIGMAS**-2.0)
+    found: list[int] = []
+    matches: list[Match] = []
     for a in range(len(keyframes) - 1):
         if index[a + 1] == index[a] + 1:
             continue
@@ -110,18 +110,24 @@ def localise_between(
                 surface, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m, config.icp, guess, loose,
                 config.refine.search_radius_m,
             )  # fmt: skip
-            moved = poses.between(guess, match.ref_T_src)
-            near = np.all(np.abs(moved) < 3.0 * LOCALISE_SIGMAS)
-            if match.inlier_ratio >= config.refine.min_inlier_ratio and near:
-                out[n] = match.ref_T_src
-                sigmas[n] = _sigmas_of(match.information, config.icp)
+            if match.inlier_ratio >= config.refine.min_inlier_ratio:
+                found.append(n)
+                matches.append(match)
+    sigmas = np.tile(MATCHED_SIGMAS, (len(scans), 1))
+    if found:
+        poses = np.array([match.ref_T_src for match in matches])
+        near = np.all(np.abs(se2.between(world_T_body[found], poses)) < 3.0 * LOCALISE_SIGMAS, axis=1)
+        rows = np.array(found)[near]
+        out[rows] = poses[near]
+        sigmas[rows] = _sigmas_of(np.array([match.information for match in matches])[near], config.icp)
     return out, sigmas
 
 
 def _sigmas_of(information: FloatArray, config: IcpConfig) -> FloatArray:
-    """(3,) of a match with a surface that is as good as known: all its beams count, and no drift of a recent map."""
+    """(N, 3) of matches with a surface that is as good as known: all their beams count, and no drift of a recent map."""
     floor = np.array([config.sigma_floor_m, config.sigma_floor_m, np.radians(config.sigma_floor_deg)])
-    variances = np.diag(np.linalg.inv(information + np.diag(LOCALISE_SIGMAS**-2.0)))
+    covariances = np.linalg.inv(information + np.diag(LOCALISE_SIGMAS**-2.0))
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
     own = config.independent_share * np.maximum(variances - floor**2, 0.0)
     return np.asarray(np.sqrt(own + ADJUSTED_SIGMAS**2))
 

@@ -165,7 +165,7 @@ class Slam:
             yield from self._edges_over_gap(i, j, step)
             return
         assert step.match is not None
-        trust = np.clip((step.match.inlier_ratio - POOR_FIT) / (GOOD_FIT - POOR_FIT), 0.02, 1.0) ** 2
+        trust = min(max((step.match.inlier_ratio - POOR_FIT) / (GOOD_FIT - POOR_FIT), 0.02), 1.0) ** 2
         prev_T_body = poses.between(previous.local_T_body, keyframe.local_T_body)
         a, b = previous.scan_index, keyframe.scan_index
         least = HARDLY_ANYTHING if self._motion.has_wheels(a, b) else INERTIA

@@ -30,13 +30,13 @@ class RelativeUncertainty:
         the robot between them, and what the edges leave open is open."""
         edge = edges[0]
         known = np.sum([e.information for e in edges if e.kind != "heading"], axis=0)
-        covariance = np.linalg.inv(known + (0.0 if torn else LEAST_KNOWN))
+        covariance = np.linalg.inv(known + (0.0 if torn else LEAST_KNOWN)).tolist()
         self._newest.extend([-1] * (max(edge.i, edge.j) + 1 - len(self._newest)))
         for keyframe in (edge.i, edge.j):
             self._older.append(self._newest[keyframe])
             self._newest[keyframe] = len(self._ends)
             self._ends.append(keyframe)
-        self._variances.extend((covariance[0, 0] + covariance[1, 1], covariance[2, 2]))
+        self._variances.extend((covariance[0][0] + covariance[1][1], covariance[2][2]))
 
     def remove(self, edge: Edge) -> None:
         """Forget a loop: no path leads over it any more. What ties a keyframe to the next stays."""

@@ -176,4 +176,4 @@ class WheelErrors:
 
 def _variances(information: FloatArray) -> FloatArray:
     """Variances (3,) of each direction, the others being known."""
-    return np.asarray(1.0 / np.maximum(np.diag(information), 1e-9))
+    return np.asarray(1.0 / np.maximum(information.diagonal(), 1e-9))

@@ -54,9 +54,7 @@ class Tally:
 Work = Callable[[tuple[Any, ...], Any], float]
 # what is counted: where it is, its name, the unit of its work, and how much of it a call did
 WATCHED: list[tuple[Any, str, str, Work]] = [
-    (scans, "project_beams", "beams", lambda a, _: len(a[0])),
-    (scans, "estimate_normals", "points", lambda a, _: len(a[0])),
-    (scans, "thin_points", "points", lambda a, _: len(a[0])),
+    (scans, "oriented_points", "beams", lambda a, _: len(a[0])),
     (cells, "build_cells", "points", lambda a, _: len(a[0])),
     (cells, "smooth_surface", "points", lambda a, _: len(a[0][1])),
     (align, "point_to_line", "points x iterations", lambda a, out: len(a[2]) * out[4]),

@@ -58,6 +58,11 @@ def moving_scan(
     return Scan(1_000_000_000, ranges.astype(np.float32), model)
 
 
+def along(bearings_rad: FloatArray) -> FloatArray:
+    """(N, 2) unit vectors."""
+    return np.stack([np.cos(bearings_rad), np.sin(bearings_rad)], axis=1)
+
+
 def oriented_points(
     segments: FloatArray,
     pillars: FloatArray,
@@ -71,7 +76,7 @@ def oriented_points(
     ranges = cast(segments, pillars, world_T_body, model)
     ranges = ranges + np.random.default_rng(seed).normal(0.0, sigma_m, ranges.shape) if sigma_m else ranges
     points, beams = scans.project_beams(
-        ranges.astype(np.float32), model.angles_rad, model.offsets_s, NO_MOUNT, np.zeros(3),
+        ranges.astype(np.float32), along(model.angles_rad), model.offsets_s, NO_MOUNT, np.zeros(3),
         model.range_min_m, model.range_max_m,
     )  # fmt: skip
     step = float(model.angles_rad[1] - model.angles_rad[0])

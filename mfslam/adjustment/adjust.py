@@ -22,6 +22,7 @@ from mfslam.types import DeskewedScan, Edge, FloatArray, IntArray
 
 SETTLED_M, STALLED = 0.0015, 0.95  # change over SPAN keyframes (RMS), and against that before
 SPAN = 50
+PROBE_ITERATIONS = 2  # iterations in which the wheels' noise is looked at closely
 PATCH_M, PATCH_KERNELS = 0.25, 3.0  # length of a patch, and at least so many scales of the kernel
 FACING_COS = 0.7  # a point faces as its patch does, within 45 deg
 MIN_SCANS = 5  # that saw a patch, for it to tell of their noise
@@ -113,7 +114,7 @@ def adjust(
         change_m = _change_m(poses, moved)
         poses = moved
         wheels.errors = wheels.errors + step[count:]
-        wheels.learn_noise(poses, solver, unknowns)
+        wheels.learn_noise(poses, solver, unknowns, probe=iteration < PROBE_ITERATIONS)
         if change_m < SETTLED_M or change_m > STALLED * change_before_m:
             break
         change_before_m = change_m

@@ -13,7 +13,10 @@ from mfslam.kernels import half_matrix
 from mfslam.types import BoolArray, FloatArray, IntArray
 
 HELD = 1e10  # information that nails an unknown
-RELATIVE_ERROR, MOST_STEPS = 1e-4, 200  # of conjugate gradients
+RELATIVE_ERROR, MOST_STEPS = (
+    1e-3,
+    200,
+)  # of conjugate gradients: each iteration of Gauss-Newton leaves more than that
 STRETCH = 6
 
 

@@ -21,6 +21,7 @@ LEAST_SHARE = 1e-3  # of the configured variance that wheels can be found to hav
 PROBED, PROBE_ERROR = 400, 0.1  # errors in all random probes at least
 PRIOR = 0.1  # of an error that the configured noise counts as: it is meant to be too large, not too small
 SMALL = 1e-6
+LITTLE = 0.3  # of the errors: where the fit takes less, how much exactly matters little
 
 
 class WheelTerms:
@@ -55,6 +56,7 @@ class WheelTerms:
             ]
         )
 
+        self._taken = np.ones((2, 3))  # by the fit of the errors of steps and of windows: shares
         self._cut_windows()
 
     def __len__(self) -> int:
@@ -110,8 +112,10 @@ class WheelTerms:
             np.tile(self._prior, (count, 1, 1)),
         )
 
-    def learn_noise(self, poses: FloatArray, solver: Solver, unknowns: int) -> None:
+    def learn_noise(self, poses: FloatArray, solver: Solver, unknowns: int, probe: bool = True) -> None:
         """The shares that the residuals show (variance component estimation).
+
+        Without ``probe``, what the fit takes of the errors is taken from the last time, unless it is much of them.
 
         By single steps, which tell most; by windows of driving where these surely show more: slip that lasts.
         """
@@ -125,11 +129,14 @@ class WheelTerms:
         of_windows = [np.add.reduceat(terms, self._starts)[self._whole] for terms in carried]
         by_step = _Motions(poses, self.i, self.j, error, variances)
         by_window = _Motions(poses, self.i[self._first], self.j[self._last], *of_windows)
-        probes = [motions.probes(unknowns) for motions in (by_step, by_window)]
-        ends = solver.solve(np.concatenate(probes, axis=1), PROBE_ERROR)
-        cut = probes[0].shape[1]
-        share, _ = by_step.share(self.share, probes[0], ends[:, :cut])
-        lasting, sigma = by_window.share(self.share, probes[1], ends[:, cut:])
+        both = (by_step, by_window)
+        if probe or np.max(self._taken) > LITTLE:
+            probes = [motions.probes(unknowns) for motions in both]
+            ends = solver.solve(np.concatenate(probes, axis=1), PROBE_ERROR)
+            ends_of = np.split(ends, [probes[0].shape[1]], axis=1)
+            self._taken = np.stack([m.taken(p, e) for m, p, e in zip(both, probes, ends_of, strict=True)])
+        share, _ = by_step.share(self.share, self._taken[0])
+        lasting, sigma = by_window.share(self.share, self._taken[1])
         self.share = np.maximum(np.maximum(share, lasting * (1.0 - 2.0 * sigma)), LEAST_SHARE)
 
     def _cut_windows(self) -> None:
@@ -185,12 +192,13 @@ class _Motions:
             np.add.at(out[n], self.b, u * after[:, c])
         return np.ascontiguousarray(out.reshape(3 * each, -1).T)
 
-    def share(
-        self, share: FloatArray, probes: FloatArray, solved: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """(3,) shares of the variances, from those assumed, and their relative sigmas; ``solved``: C times the probes."""
-        taken = np.sum(probes * solved, axis=0).reshape(3, -1).mean(axis=1)
-        left = np.maximum(0.0, len(self.a) - taken)
+    def taken(self, probes: FloatArray, solved: FloatArray) -> FloatArray:
+        """(3,) trace(C A) over the number of errors; ``solved``: C times the probes."""
+        return np.asarray(np.sum(probes * solved, axis=0).reshape(3, -1).mean(axis=1) / len(self.a))
+
+    def share(self, share: FloatArray, taken: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(3,) shares of the variances, from those assumed, and their relative sigmas."""
+        left = len(self.a) * np.maximum(0.0, 1.0 - taken)
         normalised = self.error**2 / self.variances
         chi2 = np.sum(normalised / (1.0 + normalised / KERNEL_SIGMAS**2), axis=0)
         return (PRIOR + share * chi2) / (PRIOR + left), np.sqrt(2.0 / (PRIOR + left))

@@ -39,10 +39,14 @@ class JointMarginals:
         self._steps = np.empty((0, 3, 3))  # covariance of each step after the factor
         self._new_steps: list[FloatArray] = []  # information of those that no marginal was asked for since
         self._loops: list[_Motion] = []
+        self._new_loops: list[tuple[int, int, FloatArray]] = []  # and loops likewise
         self._among_loops = np.empty((0, 0))
 
     def is_old(self) -> bool:
-        return len(self._loops) > MOST_LOOPS or len(self._steps) + len(self._new_steps) > MOST_STEPS
+        return (
+            len(self._loops) + len(self._new_loops) > MOST_LOOPS
+            or len(self._steps) + len(self._new_steps) > MOST_STEPS
+        )
 
     def add_step(self, world_T_body: FloatArray, information: FloatArray) -> None:
         """The next keyframe: all poses (K, 3), and the (3, 3) information of the step to the last one."""
@@ -50,6 +54,10 @@ class JointMarginals:
         self._new_steps.append(information)
 
     def add_loop(self, i: int, j: int, information: FloatArray) -> None:
+        """A loop between two of the poses, and its (3, 3) information."""
+        self._new_loops.append((i, j, information))
+
+    def _take_in(self, i: int, j: int, information: FloatArray) -> None:
         loop = self._motion(i, j)
         count = len(self._loops)
         among = np.zeros((3 * count + 3, 3 * count + 3))
@@ -64,6 +72,9 @@ class JointMarginals:
 
     def relative(self, i: int, j: int) -> FloatArray:
         """(3, 3) covariance of i_T_j in its tangent."""
+        for loop in self._new_loops:
+            self._take_in(*loop)
+        self._new_loops = []
         motion = self._motion(i, j)
         out = self._product(motion, motion)
         if self._loops:

@@ -24,6 +24,18 @@ def arc(vx: float, vy: float, w: float) -> tuple[float, float, float]:
     return s * vx - c * vy, c * vx + s * vy, w
 
 
+@njit
+def after_arc(vx: float, vy: float, w: float, px: float, py: float) -> tuple[float, float]:
+    """A point of the frame that a twist leads to (`arc`), seen from where it began."""
+    half_sin, half_cos = math.sin(0.5 * w), math.cos(0.5 * w)
+    s, versine = 2.0 * half_sin * half_cos, 2.0 * half_sin * half_sin
+    c = 1.0 - versine
+    x, y = vx - 0.5 * w * vy, vy + 0.5 * w * vx
+    if abs(w) > 1e-9:
+        x, y = (s * vx - versine * vy) / w, (versine * vx + s * vy) / w
+    return x + c * px - s * py, y + s * px + c * py
+
+
 @njit(cache=True, nogil=True)
 def advance(w_T_a: FloatArray, twist: FloatArray, duration_s: float) -> FloatArray:
     """Pose after a body twist was held for a time: the exact arc."""

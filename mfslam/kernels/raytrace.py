@@ -39,8 +39,9 @@ def place_beams(
     n = ranges.shape[1]
     cos_beam, sin_beam = np.cos(angles + mount[2]), np.sin(angles + mount[2])
     for k in range(ranges.shape[0]):
-        x, y, theta = poses[k, 0], poses[k, 1], poses[k, 2]
-        c, s = math.cos(theta), math.sin(theta)
+        x, y = poses[k, 0], poses[k, 1]
+        cos_yaw, sin_yaw = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        c, s = cos_yaw, sin_yaw
         moving = twists[k].any()
         for j in range(n):
             r = float(ranges[k, j])
@@ -57,10 +58,11 @@ def place_beams(
                 ahead = 0.5 * times[j]
                 vx, vy = twists[k, 0] + ahead * twists[k, 3], twists[k, 1] + ahead * twists[k, 4]
                 half = ahead * (twists[k, 2] + ahead * twists[k, 5])
-                chord = times[j] * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
-                c, s = math.cos(theta + half), math.sin(theta + half)
+                turn_c, turn_s = math.cos(half), math.sin(half)
+                chord = times[j] * (turn_s / half if abs(half) > 1e-9 else 1.0)
+                c, s = cos_yaw * turn_c - sin_yaw * turn_s, sin_yaw * turn_c + cos_yaw * turn_s
                 x, y = poses[k, 0] + chord * (c * vx - s * vy), poses[k, 1] + chord * (s * vx + c * vy)
-                c, s = math.cos(theta + 2.0 * half), math.sin(theta + 2.0 * half)
+                c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
             starts[k, j, 0] = x + c * mount[0] - s * mount[1]
             starts[k, j, 1] = y + s * mount[0] + c * mount[1]
             ends[k, j, 0] = starts[k, j, 0] + r * (c * cos_beam[j] - s * sin_beam[j])

@@ -5,14 +5,36 @@ import math
 import numpy as np
 from numba import njit
 
-from mfslam.kernels.poses import arc
+from mfslam.kernels.poses import after_arc
 from mfslam.types import BoolArray, Float32Array, FloatArray, IntArray
 
 
 @njit(cache=True, nogil=True)
+def oriented_points(
+    ranges: Float32Array, directions: FloatArray, times: FloatArray, mount: FloatArray, twist: FloatArray,
+    range_min: float, range_max: float, beam_step: float, sigma: float, spacing: float,
+) -> tuple[FloatArray, FloatArray, IntArray]:  # fmt: skip
+    """A scan's points and normals (M, 2) in the body frame at time 0, and their beams (M,): `project_beams`,
+    `estimate_normals`, then, with a ``spacing``, `thin_points`."""
+    points, beams = project_beams(ranges, directions, times, mount, twist, range_min, range_max)
+    normals = estimate_normals(points, beams, mount, beam_step, sigma)
+    if spacing > 0.0:
+        keep = thin_points(points, normals, beams, mount, beam_step, spacing)
+        m = 0
+        for k in range(keep.shape[0]):
+            if keep[k]:
+                points[m, 0], points[m, 1] = points[k, 0], points[k, 1]
+                normals[m, 0], normals[m, 1] = normals[k, 0], normals[k, 1]
+                beams[m] = beams[k]
+                m += 1
+        return points[:m].copy(), normals[:m].copy(), beams[:m].copy()
+    return points, normals, beams
+
+
+@njit
 def project_beams(
     ranges: Float32Array,
-    angles: FloatArray,
+    directions: FloatArray,
     times: FloatArray,
     mount: FloatArray,
     twist: FloatArray,
@@ -21,9 +43,9 @@ def project_beams(
 ) -> tuple[FloatArray, IntArray]:
     """End points of the valid beams in the body frame at time 0, each from the body's pose at its time.
 
-    ``times`` (N,): instants of the beams from the reference, s. ``twist`` (3,): body velocity held
-    through the scan, or (6,): that at time 0, and its change per second. Eqs. 16-18 with an exact
-    arc and the mount in between.
+    ``directions`` (N, 2): unit vectors along the beams, in the axes of the body. ``times`` (N,): instants of the beams
+    from the reference, s. ``twist`` (3,): body velocity held through the scan, or (6,): that at time 0, and its change
+    per second. Eqs. 16-18 with an exact arc and the mount in between.
     Returns points (M, 2) and the index (M,) of their beams.
     """
     n = ranges.shape[0]
@@ -31,31 +53,27 @@ def project_beams(
     beams = np.empty(n, np.int64)
     m = 0
     still = not twist.any()
-    cm, sm = math.cos(mount[2]), math.sin(mount[2])
     changes = twist.shape[0] == 6
     vx, vy, turn = twist[0], twist[1], twist[2]
     for j in range(n):
         r = ranges[j]
         if not (range_min <= r < range_max):
             continue
-        lx, ly = r * math.cos(angles[j]), r * math.sin(angles[j])
-        bx, by = mount[0] + cm * lx - sm * ly, mount[1] + sm * lx + cm * ly
+        bx, by = mount[0] + r * directions[j, 0], mount[1] + r * directions[j, 1]
         if not still:
             t = times[j]
             if changes:  # the mean over 0 to t of the twist v + a s
                 share = 0.5 * t
                 vx, vy = twist[0] + share * twist[3], twist[1] + share * twist[4]
                 turn = twist[2] + share * twist[5]
-            x, y, th = arc(vx * t, vy * t, turn * t)
-            c, s = math.cos(th), math.sin(th)
-            bx, by = x + c * bx - s * by, y + s * bx + c * by
+            bx, by = after_arc(vx * t, vy * t, turn * t, bx, by)
         points[m, 0], points[m, 1] = bx, by
         beams[m] = j
         m += 1
     return points[:m], beams[:m]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def estimate_normals(
     points: FloatArray, beams: IntArray, origin: FloatArray, beam_step: float, sigma: float
 ) -> FloatArray:
@@ -100,15 +118,18 @@ def estimate_normals(
         if large < 1e-8 or (small > 9.0 * sigma * sigma) or small > 0.04 * large:
             continue
         # the eigenvector of the small eigenvalue, turned towards the sensor
-        angle = 0.5 * math.atan2(2.0 * cxy, cxx - cyy) + 0.5 * math.pi
-        nx, ny = math.cos(angle), math.sin(angle)
+        nx, ny = cxy, -half_diff - root
+        if half_diff < 0.0:
+            nx, ny = half_diff - root, cxy
+        length = math.sqrt(nx * nx + ny * ny)
         if nx * dx + ny * dy > 0.0:
-            nx, ny = -nx, -ny
+            length = -length
+        nx, ny = nx / length, ny / length
         normals[k, 0], normals[k, 1] = nx, ny
     return normals
 
 
-@njit(cache=True, nogil=True)
+@njit
 def thin_points(
     points: FloatArray,
     normals: FloatArray,

@@ -81,11 +81,11 @@ def call_all() -> None:
 
 
 def _prepare_scan() -> tuple[FloatArray, FloatArray, cells.CellTable]:
-    angles = np.linspace(-1.5, 1.5, 40)
-    ranges = np.full(40, 2.0, np.float32)
-    points, beams = scans.project_beams(ranges, angles, np.zeros(40), np.zeros(3), np.ones(3), 0.1, 10.0)
-    normals = scans.estimate_normals(points, beams, np.zeros(2), 0.08, 0.01)
-    scans.thin_points(points, normals, beams, np.zeros(2), 0.08, 0.05)
+    angles, still = np.linspace(-1.5, 1.5, 40), np.zeros(3)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    points, normals, _ = scans.oriented_points(
+        np.full(40, 2.0, np.float32), directions, np.zeros(40), still, np.ones(3), 0.1, 10.0, 0.08, 0.01, 0.05
+    )
     table = cells.build_cells(np.hstack([points, normals]), 0.25)
     cells.smooth_surface(table, 0.25, 0.1, 0.05)
     return points, normals, table

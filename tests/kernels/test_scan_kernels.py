@@ -23,7 +23,7 @@ def test_every_beam_starts_from_the_pose_at_its_own_instant(vx, vy, w, mx, my, y
     """Eqs. 16-18 with the exact arc and the mount in between, as se2 has them."""
     twist, mount = np.array([vx, vy, w]), np.array([mx, my, yaw])
     ranges = (2.0 + np.sin(3.0 * ANGLES)).astype(np.float32)
-    points, beams = scans.project_beams(ranges, ANGLES, TIMES, mount, twist, 0.1, 10.0)
+    points, beams = scans.project_beams(ranges, rooms.along(ANGLES + yaw), TIMES, mount, twist, 0.1, 10.0)
     start_T_laser = se2.compose(se2.exp(twist * TIMES[:, None]), mount)
     in_laser = ranges[:, None].astype(float) * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=-1)
     np.testing.assert_array_equal(beams, np.arange(91))
@@ -44,7 +44,9 @@ def test_only_ranges_that_say_where_something_is_give_points():
     ranges = np.array([0.05, 0.1, 1.0, np.inf, np.nan, -np.inf, -1.0, 4.0, 3.999], np.float32)
     angles = np.linspace(0.0, 1.0, ranges.size)
     still = np.zeros(3)
-    _, beams = scans.project_beams(ranges, angles, np.zeros(ranges.size), still, still, 0.0999, 4.0)
+    _, beams = scans.project_beams(
+        ranges, rooms.along(angles), np.zeros(ranges.size), still, still, 0.0999, 4.0
+    )
     assert beams.tolist() == [1, 2, 8]
 
 
