@@ -62,7 +62,7 @@ def wheel_joints(names: list[str], wheels: WheelsConfig) -> tuple[str, str] | No
     left = wheels.left_joint or _find_joint(names, ("left", "_l_", "l_wheel", "wheel_l", "lwheel"))
     right = wheels.right_joint or _find_joint(names, ("right", "_r_", "r_wheel", "wheel_r", "rwheel"))
     if left in names and right in names and left and right:
-        return left, right
+        return (right, left) if wheels.swap_sides else (left, right)
     return None
 
 

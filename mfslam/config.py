@@ -51,6 +51,12 @@ class SensorConfig(_Stage):
         description="t_ND (eq. 15): added to every beam's instant, s. Negative: scans are older than their "
         "stamps say, measured on the wheels' clock.",
     )
+    clock_drift: float = Field(
+        0.0,
+        gt=-0.1,
+        lt=0.1,
+        description="The laser's clock gains this against the wheels', s per s from the log's start: taken off.",
+    )
     mount_x_m: float | None = Field(
         None, description="Laser ahead of the body's origin, m. Null: from the log, else 0."
     )
@@ -117,6 +123,10 @@ class ImuConfig(_Stage):
     use_compass: bool = Field(
         False, description="Use absolute headings (compass or fused). Off: steel indoors bends them."
     )
+    gyro_scale: float = Field(
+        1.0, gt=0, description="Yaw rate told per true one: readings are divided by it."
+    )
+    gyro_bias_rad_s: float = Field(0.0, description="Told at rest: taken off the readings, rad/s.")
     gyro_sigma_rad_per_sqrt_s: float = Field(
         0.005, gt=0, description="Noise of the integrated yaw, rad per root s."
     )
@@ -294,6 +304,9 @@ class RefineConfig(_Stage):
     )
     localise: bool = Field(
         True, description="Match the scans between keyframes once more with all keyframes around them."
+    )
+    other_passes: int = Field(
+        5, ge=0, description="Surfaces of other passes by the same spot that they are matched with at most."
     )
     min_inlier_ratio: float = Field(
         0.4, gt=0, lt=1, description="Share of matched points that a scan between keyframes needs."

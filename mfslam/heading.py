@@ -5,9 +5,11 @@ from __future__ import annotations
 import bisect
 import math
 
+import numpy as np
+
 from mfslam import se2
 from mfslam.config import ImuConfig
-from mfslam.types import Imu
+from mfslam.types import FloatArray, Imu
 
 MAX_GAP_S = 0.2  # a gyro silent for longer has missed a turn
 BIAS_MEMORY_S = 60.0
@@ -32,6 +34,7 @@ class HeadingTrack:
             self._compass.append((time_s, imu.yaw_rad))
         if imu.yaw_rate_rad_s is None or not self.config.use_gyro:
             return
+        rate_rad_s = (imu.yaw_rate_rad_s - self.config.gyro_bias_rad_s) / self.config.gyro_scale
         if not self._times_s:
             self._times_s.append(time_s)
             self._yaw_rad.append(0.0)
@@ -42,8 +45,8 @@ class HeadingTrack:
             if after_gap or dt_s > MAX_GAP_S:
                 self._gaps.append(time_s)
             self._times_s.append(time_s)
-            self._yaw_rad.append(self._yaw_rad[-1] + 0.5 * dt_s * (self._rate_rad_s + imu.yaw_rate_rad_s))
-        self._rate_rad_s = imu.yaw_rate_rad_s
+            self._yaw_rad.append(self._yaw_rad[-1] + 0.5 * dt_s * (self._rate_rad_s + rate_rad_s))
+        self._rate_rad_s = rate_rad_s
 
     def turn(self, start_s: float, end_s: float) -> float | None:
         """Turn between two instants (rad), bias taken off; None where the gyro did not cover them."""
@@ -54,6 +57,10 @@ class HeadingTrack:
         if first_gap < len(self._gaps) and self._gaps[first_gap] <= end_s + MAX_GAP_S:
             return None
         return self._yaw_at(end_s) - self._yaw_at(start_s) - self.bias_rad_s * (end_s - start_s)
+
+    def turns(self) -> tuple[FloatArray, FloatArray]:
+        """Times (G,) s and turns since the first of them (G,) rad, the bias learned meanwhile not taken off."""
+        return np.array(self._times_s), np.array(self._yaw_rad)
 
     def turn_sigma(self, dt_s: float) -> float:
         """One sigma of a turn over ``dt_s``: rate noise and what is not known of the bias (rad)."""

@@ -245,7 +245,7 @@ class MotionSources:
                 "sensed one usual step apart",
                 f"{scan.stamp_ns * 1e-9:.6f} s, {self._scan_s - sensed_s:.3f} s late",
             )
-        return sensed_s
+        return sensed_s - self.config.sensor.clock_drift * sensed_s
 
     def _odometry_at(self, scan: Scan, reference_s: float, local_T_body: FloatArray) -> FloatArray | None:
         """Wheels' pose at the scan's reference instant; None where they say nothing (yet)."""

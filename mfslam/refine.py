@@ -20,8 +20,8 @@ from mfslam.wheel_errors import WheelErrors, WheelStep
 
 # how well a scan between keyframes is known before (m, m, rad)
 LOCALISE_SIGMAS = np.array([0.05, 0.05, 0.02])
-# the surroundings of a keyframe: so many before it, so many of other passes, so far off at most
-SUCCESSIVE, OTHERS, AROUND_M = 3, 5, 3.0
+# the surroundings of a keyframe: so many before it, so far off at most
+SUCCESSIVE, AROUND_M = 3, 3.0
 # of a step that wheels tell, or that nothing but inertia holds, where no wall does (1 m, 1 rad; 0.2 m, 0.2 rad)
 HARDLY_ANYTHING, INERTIA = np.eye(3), 25.0 * np.eye(3)
 
@@ -94,7 +94,7 @@ def localise_between(
     """
     out = world_T_body.copy()
     index: IntArray = np.array([k.scan_index for k in keyframes], dtype=np.int64)
-    around = _around(world_T_body[index])
+    around = _around(world_T_body[index], config.refine.other_passes)
     loose = np.diag(LOCALISE_SIGMAS**-2.0)
     found: list[int] = []
     matches: list[Match] = []
@@ -132,9 +132,9 @@ def _sigmas_of(information: FloatArray, config: IcpConfig) -> FloatArray:
     return np.asarray(np.sqrt(own + ADJUSTED_SIGMAS**2))
 
 
-def _around(world_T_body: FloatArray) -> list[set[int]]:
-    """Of each keyframe those whose surface its surroundings are known by: the last few, and the nearest of every
-    other pass by the same spot; and those for which it is one itself."""
+def _around(world_T_body: FloatArray, most_others: int) -> list[set[int]]:
+    """Of each keyframe those whose surface its surroundings are known by: the last few, and the nearest of so many
+    other passes by the same spot; and those for which it is one itself."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(world_T_body[:, :2])
@@ -144,21 +144,21 @@ def _around(world_T_body: FloatArray) -> list[set[int]]:
         others = np.array([i for i in near if i < j - SUCCESSIVE], dtype=np.int64)
         for i in [
             *range(max(0, j - SUCCESSIVE), j),
-            *(_spread(world_T_body, j, others) if others.size else []),
+            *(_spread(world_T_body, j, others, most_others) if others.size else []),
         ]:
             around[j].add(i)
             around[i].add(j)
     return around
 
 
-def _spread(world_T_body: FloatArray, j: int, candidates: IntArray) -> list[int]:
+def _spread(world_T_body: FloatArray, j: int, candidates: IntArray, most: int) -> list[int]:
     """The nearest candidates, at most one of any ten successive keyframes; those that look the same way
     come first."""
     offset = world_T_body[candidates] - world_T_body[j]
     cost = np.hypot(offset[:, 0], offset[:, 1]) + 0.5 * np.abs(np.sin(0.5 * offset[:, 2]))
     chosen: list[int] = []
     left = candidates[np.argsort(cost)]
-    while left.size and len(chosen) < OTHERS:
+    while left.size and len(chosen) < most:
         chosen.append(int(left[0]))
         left = left[np.abs(left - left[0]) >= 10]
     return chosen

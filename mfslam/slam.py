@@ -61,6 +61,7 @@ class Solution:
     ``world_T_reference`` (S, 3), ``twists`` (S, 6): the pose at each scan's reference instant, the
     twist there and its change per second, for re-projection. ``keyframes`` (K,): scan indices that ``edges`` number.
     ``covariances`` (S, 3, 3): of x, y and yaw of ``world_T_body``, in the world's axes, relative to the first pose.
+    ``smoothed_by`` (S, 3): what of ``world_T_reference`` is no match but the smoothing after it, in its tangent.
     """
 
     stamps_ns: IntArray
@@ -70,6 +71,7 @@ class Solution:
     keyframes: IntArray
     edges: list[Edge]
     covariances: FloatArray
+    smoothed_by: FloatArray
 
 
 class Slam:
@@ -245,10 +247,18 @@ class Slam:
     def trajectory(self, world_T_keyframe: FloatArray) -> FloatArray:
         """(S, 3) world_T_body of every scan placed so far, at its stamp, with keyframes (K, 3) at these poses."""
         world_T_reference = self._scan_poses(world_T_keyframe)
-        offsets = np.array([reference_offset_s(s.laser) for s in self.scans])
+        offsets = self._reference_offsets_s()
         if not offsets.any():
             return world_T_reference
         return se2.compose(world_T_reference, self._smooth(world_T_reference).relative(-offsets))
+
+    def _reference_offsets_s(self) -> FloatArray:
+        """(S,) from the scans' stamps, read on the wheels' clock, to their reference instants."""
+        offsets_s = np.array([reference_offset_s(s.laser) for s in self.scans])
+        drift = self.config.sensor.clock_drift
+        if drift != 0.0 and self.scans[0].odom_T_body is None:
+            offsets_s -= drift / (1.0 - drift) * (np.array(self._motion.times_s) - offsets_s)
+        return offsets_s
 
     def thin_keyframes(self, spacing: float) -> None:
         """Keyframes this many times as far apart as configured from here on."""
@@ -316,14 +326,16 @@ class Slam:
         world_T_reference = self._scan_poses(self.graph.poses())
         motion = self._smooth(world_T_reference)
         keyframes = np.array([k.scan_index for k in self.keyframes], dtype=np.int64)
+        smoothed_by = np.zeros_like(world_T_reference)
         if localise and len(self.keyframes) > 1:
             world_T_reference, sigmas = refine.localise_between(
                 self.scans, motion.twists, world_T_reference, self.keyframes, self.config
             )
             motion = self._smooth(world_T_reference, sigmas)
             if self._motion.odometry.backwards_s == 0.0:
-                world_T_reference = se2.compose(world_T_reference, se2.exp(motion.off))
-        offsets = np.array([reference_offset_s(s.laser) for s in self.scans])
+                smoothed_by = motion.off
+                world_T_reference = se2.compose(world_T_reference, se2.exp(smoothed_by))
+        offsets = self._reference_offsets_s()
         reference_T_stamp = motion.relative(-offsets)
         world_T_body = se2.compose(world_T_reference, reference_T_stamp)
         if offsets.any():
@@ -340,6 +352,7 @@ class Slam:
             covariances=scan_covariances(
                 world_T_body, keyframes, edges, self.information.marginals() if self.information else None
             ),
+            smoothed_by=smoothed_by,
         )
 
 

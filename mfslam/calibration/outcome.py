@@ -8,14 +8,19 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
+from mfslam.calibration.gyro import GyroFit
+from mfslam.calibration.laser_turn import LaserTurn
 from mfslam.calibration.record import Record
+from mfslam.calibration.settings import Settings, settings_of
 from mfslam.calibration.solve import Solved
 from mfslam.calibration.start import Start
 from mfslam.config import Config
 from mfslam.types import FloatArray
 
 SIGNIFICANT_SIGMAS = 4.0
+PULL = 0.2  # of a change, by which the laser's motions may still hold on to what was assumed for them
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,9 @@ KINDS = {
     "mount_yaw": Kind("deg", 1.0, 0.5, AHEAD),
     "delay": Kind("s", 0.02, 0.008, STOP_AND_GO),
     "clock_drift": Kind("s/s", 1e-4, 2e-5, STOP_AND_GO + ", at the beginning and at the end of a long log"),
+    "turn_period": Kind(
+        "s", 0.02, 0.015, "turn in place both ways, and stand or drive straight at the same places"
+    ),
     "gyro_scale": Kind("", 0.02, 0.005, IN_PLACE),
     "gyro_bias": Kind("rad/s", 0.002, 0.001, "stand still for 10 s or more"),
 }
@@ -52,26 +60,35 @@ GEOMETRY = (
     "mount_y",
     "mount_yaw",
     "delay",
+    "clock_drift",
+    "turn_period",
 )  # what wheels that learn by themselves cannot make good
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter: as it was assumed (``before``), as found, its sigma, all in the unit of its `Kind`."""
+    """One parameter: as it was assumed (``before``), as found, its sigma, all in the unit of its `Kind`; ``pulled``: how
+    far of that it may have been pulled to what was assumed in this pass."""
 
     name: str
     before: float
     value: float
     sigma: float
     relative_to: float = 1.0  # sigmas and changes are judged as shares of this
+    pulled: float = 0.0
 
     @property
     def kind(self) -> Kind:
         return KINDS[self.name]
 
     @property
+    def unpulled_sigma(self) -> float:
+        """By what the log tells: nothing pulls at a value that is as assumed, and the next pass frees the others."""
+        return math.sqrt(max(0.0, self.sigma**2 - self.pulled**2))
+
+    @property
     def observable(self) -> bool:
-        return self.sigma < self.kind.most_sigma * self.relative_to
+        return self.unpulled_sigma < self.kind.most_sigma * self.relative_to
 
     @property
     def significant(self) -> bool:
@@ -79,7 +96,7 @@ class Estimate:
         change = abs(self.value - self.before)
         return (
             self.observable
-            and change > SIGNIFICANT_SIGMAS * self.sigma
+            and change > SIGNIFICANT_SIGMAS * self.unpulled_sigma
             and change > self.kind.matters * self.relative_to
         )
 
@@ -103,12 +120,14 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """``estimates`` in the order of ``covariance`` (P, P), which is in their units; ``start``: what was found of signs."""
+    """``estimates`` in the order of ``covariance`` (P, P), which is in their units; ``start``: what was found of signs;
+    ``middle_s``: of the log, from its start, for which the delay holds where clocks drift."""
 
     estimates: list[Estimate]
     covariance: FloatArray
     start: Start
     config: Config
+    middle_s: float = 0.0
 
     def __getitem__(self, name: str) -> Estimate:
         return next(e for e in self.estimates if e.name == name)
@@ -124,69 +143,36 @@ class Calibration:
         ]
         return replace(self, estimates=estimates, start=first.start, config=first.config)
 
-    def settings(self) -> dict[str, dict[str, float | bool]]:
-        """Stage, key and value of all that is observable and that a setting exists for."""
-        out: dict[str, dict[str, float | bool]] = {}
-        keys = {
-            "radius_left": ("wheels", "radius_left_m"),
-            "radius_right": ("wheels", "radius_right_m"),
-            "track": ("wheels", "track_m"),
-            "mount_x": ("sensor", "mount_x_m"),
-            "mount_y": ("sensor", "mount_y_m"),
-            "mount_yaw": ("sensor", "mount_yaw_deg"),
-            "delay": ("sensor", "transport_delay_s"),
-        }
-        for e in self.estimates:
-            if e.name in keys and e.observable:
-                stage, key = keys[e.name]
-                out.setdefault(stage, {})[key] = round(float(e.value), 6)
-        if self.start.words:
-            wheels = out.setdefault("wheels", {})
-            left, right = self.start.signs
-            if left[0] == 0.0:
-                wheels["swap_sides"] = not self.config.wheels.swap_sides
-            if left.sum() < 0.0:
-                wheels["left_reversed"] = not self._reversed_now("left")
-            if right.sum() < 0.0:
-                wheels["right_reversed"] = not self._reversed_now("right")
-        return out
+    def extended(self, more: tuple[list[Estimate], FloatArray]) -> Calibration:
+        """With further estimates and their covariance, independent of these."""
+        estimates, covariance = more
+        both = block_diag(self.covariance, covariance) if estimates else self.covariance
+        return replace(self, estimates=self.estimates + estimates, covariance=both)
 
-    def _reversed_now(self, side: str) -> bool:
-        return bool(getattr(self.config.wheels, f"{side}_reversed"))
+    @property
+    def oddities(self) -> str:
+        """What is wired or turns otherwise than assumed; empty where nothing does."""
+        turns = next((e for e in self.estimates if e.name == "turn_period" and e.significant), None)
+        words = [self.start.words]
+        if turns is not None and turns.value < 0.0 <= turns.before:
+            words.append("the laser turns against the order of its beams")
+        if turns is not None and turns.before < 0.0 < turns.value:
+            words.append("the laser turns in the order of its beams")
+        return " and ".join(word for word in words if word)
+
+    def settings(self) -> Settings:
+        """Stage, key and value of all that is observable and that a setting exists for."""
+        return settings_of(self)
 
     def lines(self) -> Iterator[str]:
-        if self.start.words:
-            yield f"WARNING        {self.start.words}"
+        if self.oddities:
+            yield f"WARNING        {self.oddities}"
         for e in self.estimates:
             yield e.line()
 
     def as_json(self) -> dict[str, Any]:
-        wheels = {"wheels_found": self.start.words} if self.start.words else {}
-        return wheels | {e.name: e.as_json() for e in self.estimates}
-
-    def yaml(self, logs: str) -> str:
-        """A file for ``--config``."""
-        out = [
-            f"# By `mfslam calibrate {logs}`: one sigma and what was assumed before stand beside each value."
-        ]
-        known = {
-            "radius_left_m": "radius_left", "radius_right_m": "radius_right", "track_m": "track",
-            "mount_x_m": "mount_x", "mount_y_m": "mount_y", "mount_yaw_deg": "mount_yaw",
-            "transport_delay_s": "delay",
-        }  # fmt: skip
-        for stage, values in self.settings().items():
-            out.append(f"{stage}:")
-            for key, value in values.items():
-                text = str(value).lower() if isinstance(value, bool) else f"{value:.6g}"
-                beside = ""
-                if key in known:
-                    e = self[known[key]]
-                    beside = f"   # +- {e.sigma:.2g}, was {e.before:.6g}"
-                out.append(f"  {key}: {text}{beside}")
-        for e in self.estimates:
-            if not e.observable or e.name not in known.values():
-                out.append(f"# {e.line()}")
-        return "\n".join(out) + "\n"
+        odd = {"oddities": self.oddities} if self.oddities else {}
+        return odd | {e.name: e.as_json() for e in self.estimates}
 
 
 def calibration_of(solved: Solved, record: Record, start: Start, config: Config) -> Calibration:
@@ -201,6 +187,9 @@ def calibration_of(solved: Solved, record: Record, start: Start, config: Config)
         "radius_left": 1.0, "radius_right": 1.0, "track": 1.0, "scale": 1.0, "turn_scale": 1.0, "drift": 0.0,
         "mount_x_m": mount[0], "mount_y_m": mount[1], "mount_yaw_rad": mount[2], "delay_s": 0.0, "clock_drift": 0.0,
     }  # fmt: skip
+    middle_s = 0.5 * float(record.times_s[0] + record.times_s[-1])
+    drift = config.sensor.clock_drift
+    known = {"delay_s": config.sensor.transport_delay_s - drift * middle_s, "clock_drift": drift}
     relative = {
         "radius_left": wheels.radius_left_m,
         "radius_right": wheels.radius_right_m,
@@ -210,10 +199,31 @@ def calibration_of(solved: Solved, record: Record, start: Start, config: Config)
     covariance = solved.covariance * np.outer(factors, factors)
     estimates = []
     for n, name in enumerate(solved.names):
-        offset = config.sensor.transport_delay_s if name == "delay_s" else 0.0
+        offset = known.get(name, 0.0)
         short = name.removesuffix("_m").removesuffix("_s").removesuffix("_rad")
         assumed, value = (float(v * factors[n] + offset) for v in (before[name], solved.values[n]))
-        estimates.append(
-            Estimate(short, assumed, value, math.sqrt(covariance[n, n]), relative.get(name, 1.0))
-        )
-    return Calibration(estimates, covariance, start, config)
+        pulled = PULL * abs(value - assumed)
+        covariance[n, n] += pulled**2
+        sigma = math.sqrt(covariance[n, n])
+        estimates.append(Estimate(short, assumed, value, sigma, relative.get(name, 1.0), pulled))
+    return Calibration(estimates, covariance, start, config, middle_s)
+
+
+def gyro_estimates(fit: GyroFit | None, config: Config) -> tuple[list[Estimate], FloatArray]:
+    """Of the gyro, what it tells after what was assumed of it."""
+    if fit is None:
+        return [], np.zeros((0, 0))
+    scale, bias = config.imu.gyro_scale, config.imu.gyro_bias_rad_s
+    sigmas = scale * np.sqrt(np.diag(fit.covariance))
+    return [
+        Estimate("gyro_scale", scale, scale * fit.scale, float(sigmas[0])),
+        Estimate("gyro_bias", bias, bias + scale * fit.bias_rad_s, float(sigmas[1])),
+    ], scale**2 * fit.covariance
+
+
+def turn_estimates(turn: LaserTurn | None, config: Config) -> tuple[list[Estimate], FloatArray]:
+    """Of the laser's turn, negative against the order of its beams; a robot that hardly turned does not show it."""
+    sign = -1.0 if config.sensor.reversed_beams else 1.0
+    assumed, found, sigma = (0.0, 0.0, 1.0) if turn is None else (turn.assumed_s, turn.period_s, turn.sigma_s)
+    assumed, found = sign * assumed, sign * found
+    return [Estimate("turn_period", assumed, found, sigma)], np.array([[sigma**2]])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ class Record:
     ``world_T_laser`` (S, 3): the laser then. ``sure`` (S,): whether the scan was matched, and no one's guess.
     ``laser``: as assumed. ``knots_s`` (K,), ``told_steps`` (K, 3): the wheels' steps as told, NaN where not known.
     ``stamps_back_s``: by how much stamps of one clock go backwards, which makes them worthless for delays.
+    ``gyro_times_s``, ``gyro_yaw_rad`` (G,): the gyro's turns so far, as told but for what was assumed of it.
     """
 
     times_s: FloatArray
@@ -25,6 +26,12 @@ class Record:
     knots_s: FloatArray
     told_steps: FloatArray
     stamps_back_s: float = 0.0
+    gyro_times_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    gyro_yaw_rad: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def windows(self) -> Windows:
+        """Motions of the laser, end to end."""
+        return cut_windows(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +46,10 @@ class Windows:
 
     def __len__(self) -> int:
         return len(self.a)
+
+    def amounts(self) -> tuple[FloatArray, FloatArray]:
+        """Way (N,) m and turn (N,) rad of every window."""
+        return np.hypot(self.a_T_b[:, 0], self.a_T_b[:, 1]), np.abs(self.a_T_b[:, 2])
 
     def joined(self, count: int) -> tuple[IntArray, IntArray]:
         """First and last (M,) of every run of ``count`` successive windows."""

@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from mfslam import se2
-from mfslam.calibration.outcome import Calibration, Estimate, calibration_of
+from mfslam.calibration.gyro import fit_gyro
+from mfslam.calibration.laser_turn import find_turn
+from mfslam.calibration.outcome import Calibration, Estimate, calibration_of, gyro_estimates, turn_estimates
+from mfslam.calibration.problem import Problem
 from mfslam.calibration.record import Record, cut_windows
-from mfslam.calibration.solve import Problem, solve
+from mfslam.calibration.solve import solve
 from mfslam.calibration.start import find_start
 from mfslam.calibration.wheel_track import DifferentialDrive, PoseOdometry, WheelLaw
-from mfslam.config import Config
 from mfslam.slam import Slam, Solution
 from mfslam.types import FloatArray
 
@@ -40,8 +42,12 @@ def record_of(slam: Slam, solution: Solution) -> Record | None:
         knots = times
         steps = np.vstack([np.full((1, 3), np.nan), se2.between(poses[:-1], poses[1:])])
         steps[motion.jumps] = np.nan
-    world_T_laser = se2.compose(solution.world_T_reference, laser.body_T_laser)
-    return Record(times, world_T_laser, sure, laser, knots, steps, motion.odometry.backwards_s)
+    # as matched: a body that never slips sideways, as the smoothing likes it, has its laser where it was assumed
+    matched = se2.compose(solution.world_T_reference, se2.exp(-solution.smoothed_by))
+    world_T_laser = se2.compose(matched, laser.body_T_laser)
+    return Record(
+        times, world_T_laser, sure, laser, knots, steps, motion.odometry.backwards_s, *motion.heading.turns()
+    )
 
 
 def brings_poses(slam: Slam) -> bool:
@@ -65,7 +71,7 @@ def calibrate(slam: Slam, solution: Solution) -> Calibration | None:
     law: WheelLaw = (
         DifferentialDrive(config.wheels.track_m, start.signs) if slam.motion.counts_wheels else PoseOdometry()
     )
-    problem = Problem(record, windows, law, clock, start.delay_s)
+    problem = Problem(record, law, clock, start.delay_s)
     if len(problem.windows) < LEAST_WINDOWS:
         return None
     values = problem.start.copy()
@@ -73,30 +79,30 @@ def calibrate(slam: Slam, solution: Solution) -> Calibration | None:
         values[-2] = start.delay_s
     if slam.motion.counts_wheels:
         values[2] = start.track_share
-    return calibration_of(solve(problem, values), record, start, config)
-
-
-def applied(config: Config, calibration: Calibration) -> Config:
-    """The config with all that was found."""
-    found = calibration.settings()
-    return config.model_copy(
-        update={stage: getattr(config, stage).model_copy(update=values) for stage, values in found.items()}
-    )
+    solved = solve(problem, values)
+    found = calibration_of(solved, record, start, config)
+    gyro = fit_gyro(record, float(solved.values[-2]) if clock else 0.0)
+    turn = None if brings_poses(slam) else find_turn(slam, solution)
+    return found.extended(gyro_estimates(gyro, config)).extended(turn_estimates(turn, config))
 
 
 def together(calibrations: Sequence[Calibration]) -> Calibration:
-    """Of several logs of one robot: each counts by its information. All must speak of the same parameters."""
-    first = calibrations[0]
-    information = np.zeros_like(first.covariance)
-    vector: FloatArray = np.zeros(len(first.estimates))
+    """Of several logs of one robot: each counts by its information. All must speak of the same parameters.
+
+    What the clocks did is of each log alone: their drift is not written, and the delay is that in the middle of the logs.
+    """
+    of_all = [n for n, e in enumerate(calibrations[0].estimates) if e.name != "clock_drift"]
+    first = replace(calibrations[0], estimates=[calibrations[0].estimates[n] for n in of_all], middle_s=0.0)
+    information = np.zeros((len(of_all), len(of_all)))
+    vector: FloatArray = np.zeros(len(of_all))
     for calibration in calibrations:
-        own = np.linalg.inv(calibration.covariance)
+        own = np.linalg.inv(calibration.covariance[np.ix_(of_all, of_all)])
         information += own
-        vector += own @ np.array([e.value for e in calibration.estimates])
+        vector += own @ np.array([calibration.estimates[n].value for n in of_all])
     covariance: FloatArray = np.asarray(np.linalg.inv(information))
     values = covariance @ vector
     estimates: list[Estimate] = [
-        replace(e, value=float(values[n]), sigma=float(np.sqrt(covariance[n, n])))
+        replace(e, value=float(values[n]), sigma=float(np.sqrt(covariance[n, n])), pulled=0.0)
         for n, e in enumerate(first.estimates)
     ]
     return replace(first, estimates=estimates, covariance=covariance)

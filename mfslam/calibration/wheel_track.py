@@ -27,6 +27,10 @@ class WheelLaw(Protocol):
         """(K, 3)"""
         ...
 
+    def told_twists(self, true: FloatArray, values: FloatArray) -> FloatArray:
+        """(K, 3) the inverse of `true_twists`."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class DifferentialDrive:
@@ -51,6 +55,12 @@ class DifferentialDrive:
             [0.5 * (left + right), told[:, 1], (right - left) / (values[2] * self.track_m)], axis=1
         )
 
+    def told_twists(self, true: FloatArray, values: FloatArray) -> FloatArray:
+        half = 0.5 * values[2] * self.track_m * true[:, 2]
+        rolled = np.stack([(true[:, 0] - half) / values[0], (true[:, 0] + half) / values[1]], axis=1)
+        left, right = (rolled @ np.linalg.inv(self.signs.T)).T
+        return np.stack([0.5 * (left + right), true[:, 1], (right - left) / self.track_m], axis=1)
+
 
 @dataclass(frozen=True, eq=False)
 class PoseOdometry:
@@ -65,6 +75,11 @@ class PoseOdometry:
         return np.stack(
             [scale * told[:, 0], scale * told[:, 1], turn * told[:, 2] + drift * told[:, 0]], axis=1
         )
+
+    def told_twists(self, true: FloatArray, values: FloatArray) -> FloatArray:
+        scale, turn, drift = values
+        x = true[:, 0] / scale
+        return np.stack([x, true[:, 1] / scale, (true[:, 2] - drift * x) / turn], axis=1)
 
 
 class WheelTrack:

@@ -10,7 +10,8 @@ from typing import Any
 from drivers.base import Log
 from drivers.logs import open_log
 from mfslam.calibration.outcome import GEOMETRY, Calibration
-from mfslam.calibration.run import applied, brings_poses, calibrate
+from mfslam.calibration.run import brings_poses, calibrate
+from mfslam.calibration.settings import applied
 from mfslam.commands.interrupts import Interrupts
 from mfslam.commands.progress import Progress
 from mfslam.commands.settings import config_for, topics_of
@@ -106,7 +107,7 @@ def map_calibrated(
 
 def _what_changes(calibration: Calibration) -> str:
     """In words what is worth mapping again for; empty where nothing is."""
-    wrong = [calibration.start.words] if calibration.start.words else []
+    wrong = [calibration.oddities] if calibration.oddities else []
     changed = [e for e in calibration.significant if e.name in GEOMETRY]
     return ", ".join(wrong + [f"{e.name} {e.before:.4g} -> {e.value:.4g} {e.kind.unit}" for e in changed])
 

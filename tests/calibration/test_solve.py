@@ -12,8 +12,9 @@ from drivers.simulator import RobotModel, drive, load_world
 from drivers.simulator.robot import encoder_ticks, wheel_angles
 from mfslam import se2
 from mfslam.calibration.outcome import IN_PLACE, calibration_of
-from mfslam.calibration.record import Record, cut_windows
-from mfslam.calibration.solve import Problem, Solved, solve
+from mfslam.calibration.problem import Problem
+from mfslam.calibration.record import Record
+from mfslam.calibration.solve import Solved, solve
 from mfslam.calibration.start import Start, find_start
 from mfslam.calibration.wheel_track import DifferentialDrive
 from mfslam.config import Config, WheelsConfig
@@ -44,9 +45,8 @@ def make_record(seed: int = 0, signs: FloatArray | None = None, world: str = "of
 
 
 def solved(record: Record) -> tuple[Solved, Start]:
-    windows = cut_windows(record)
-    start = find_start(record, windows, NOMINAL.track_m, True)
-    problem = Problem(record, windows, DifferentialDrive(NOMINAL.track_m, start.signs), True, start.delay_s)
+    start = find_start(record, record.windows(), NOMINAL.track_m, True)
+    problem = Problem(record, DifferentialDrive(NOMINAL.track_m, start.signs), True, start.delay_s)
     values = problem.start.copy()
     values[2], values[-2] = start.track_share, start.delay_s
     return solve(problem, values), start
@@ -103,7 +103,7 @@ def test_what_a_straight_drive_does_not_show_is_said_with_the_manoeuvre_that_wou
     poses = se2.compose(straight, MOUNT) + rng.normal(size=straight.shape) * 0.001
     steps = np.tile([0.01, 0.0, 0.0], (len(record.knots_s), 1))
     record = replace(record, world_T_laser=poses, told_steps=steps)
-    problem = Problem(record, cut_windows(record), DifferentialDrive(NOMINAL.track_m, np.eye(2)))
+    problem = Problem(record, DifferentialDrive(NOMINAL.track_m, np.eye(2)))
     start = Start(0.0, np.eye(2), 1.0, 1.0)
     calibration = calibration_of(solve(problem), record, start, Config(wheels=NOMINAL))
     assert calibration["mount_yaw"].observable

@@ -230,6 +230,8 @@ def test_wheel_joints_found_by_name_or_as_set(tmp_path):
     config = load([], ["wheels.left_joint=arm", "wheels.right_joint=wheel_left_joint"])
     messages, _ = read(tmp_path, entries, config)
     assert [m for m in messages if isinstance(m, WheelAngles)][2] == WheelAngles(T0 + 2, 9.0, 2.0)
+    messages, _ = read(tmp_path, entries, load([], ["wheels.swap_sides=true"]))
+    assert [m for m in messages if isinstance(m, WheelAngles)][2] == WheelAngles(T0 + 2, 4.0, 2.0)
     messages, log = read(tmp_path, entries + odometry(3))
     assert not any(isinstance(m, WheelAngles) for m in messages) and "wheel-joints-unused" in log.findings
     messages, log = read(tmp_path, entries, load([], ["wheels.left_joint=nose"]))
