@@ -81,8 +81,10 @@ class Problem:
             later, earlier = values.copy(), values.copy()
             later[-2] += SHIFT_S
             earlier[-2] -= SHIFT_S
-            ends = [self.error(values, self.body_motion(v, w.a, w.b), w.a_T_b) for v in (later, earlier)]
-            out[:, :, -2] = (ends[0] - ends[1]) / (2.0 * SHIFT_S)
+            moved_on, not_yet = (
+                self.error(values, self.body_motion(v, w.a, w.b), w.a_T_b) for v in (later, earlier)
+            )
+            out[:, :, -2] = (moved_on - not_yet) / (2.0 * SHIFT_S)
             since_s = 0.5 * (self.record.times_s[w.a] + self.record.times_s[w.b]) - self.middle_s
             out[:, :, -1] = -since_s[:, None] * out[:, :, -2]
         return error, out

@@ -64,7 +64,8 @@ def calibrate(slam: Slam, solution: Solution) -> Calibration | None:
     if len(windows) < LEAST_WINDOWS:
         return None
     config = slam.config
-    clock = record.stamps_back_s < LYING_S
+    # the recorder put poses and scans together, whatever their stamps: a delay could be told, but not taken off
+    clock = record.stamps_back_s < LYING_S and not brings_poses(slam)
     start = find_start(record, windows, config.wheels.track_m, clock)
     if abs(start.correlation) < LEAST_CORRELATION:
         return None

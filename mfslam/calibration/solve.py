@@ -51,7 +51,9 @@ def solve(problem: Problem, start: FloatArray | None = None) -> Solved:
         if iteration > 2 and np.all(np.abs(step) < 0.02 * np.sqrt(np.diag(covariance))):
             break
     scores = np.einsum("nrp,nr->np", jacobian, white[:, -1].reshape(n, 3))
-    honest = as_scattered(covariance, scores, prior) + systematic(problem, covariance, white[:, :-1], jacobian)
+    honest = as_scattered(covariance, scores, prior) + systematic(
+        problem, covariance, white[:, :-1], jacobian
+    )
     return Solved(problem.names, values, honest, weights, problem.windows, noise)
 
 

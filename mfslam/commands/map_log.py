@@ -23,6 +23,10 @@ from mfslam.slam import Slam, Solution
 from mfslam.types import Findings, Scan
 
 BLUNTER_SHARE, BLUNTER_BITS = 1.005, 0.005  # of a map's cells, of its entropy: within this it is as sharp
+LEFT_ALONE = (
+    "every scan of this log bears the wheels' pose, put together by its recorder: `mfslam calibrate` tells what the log "
+    "says of its robot"
+)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -72,8 +76,9 @@ def map_calibrated(
     read_log(log, slam, progress, interrupts, findings)
     solution = finish(slam, progress, interrupts, findings)
     findings.merge(log.findings)
-    calibration = None if brings_poses(slam) or interrupts.count else calibrate(slam, solution)
-    told: dict[str, Any] = {}
+    left_alone = brings_poses(slam)
+    calibration = None if left_alone or interrupts.count else calibrate(slam, solution)
+    told: dict[str, Any] = {"left_alone": LEFT_ALONE} if left_alone else {}
     what = "" if calibration is None else _what_changes(calibration)
     if calibration is not None and what:
         progress.tell(f"calibrated: {what}; mapping again")
@@ -98,10 +103,9 @@ def map_calibrated(
     progress.tell("drawing the map ...")
     outcome = outcome_of(slam, solution, config, info, findings, interrupts.count > 0, start_cpu_s)
     if calibration is not None:
-        outcome.summary["calibration"] = {
-            **told,
-            "found": {e.name: e.as_json() for e in calibration.estimates},
-        }
+        told["found"] = {e.name: e.as_json() for e in calibration.estimates}
+    if told:
+        outcome.summary["calibration"] = told
     return outcome, config
 
 

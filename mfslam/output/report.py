@@ -11,7 +11,7 @@ from mfslam.observability import OPEN_SIGMA_M
 from mfslam.output.overlay import map_layers
 from mfslam.output.page import html_page
 from mfslam.output.plots import plot_cards
-from mfslam.output.tables import caption, section_tables, value_text
+from mfslam.output.tables import calibration_cards, caption, section_tables, value_text
 from mfslam.types import IntArray, RunResult
 
 
@@ -24,6 +24,7 @@ def report_html(result: RunResult, summary: dict[str, Any], config_yaml: str) ->
         _warnings(result, summary),
         _map(result, summary),
         f'<h2>How it went</h2><div class="grid2">{plot_cards(result, summary)}</div>',
+        _calibration(summary),
         f'<h2>In numbers</h2><div class="grid3">{section_tables(summary)}</div>',
         f'<details class="card"><summary>Effective configuration</summary><pre>{escape(config_yaml)}</pre></details>',
     ]
@@ -88,6 +89,13 @@ def _map(result: RunResult, summary: dict[str, Any]) -> str:
         f"{OPEN_SIGMA_M:g} m (one sigma) open along the bar, so wheels or inertia decided there. Uncertainty: where the "
         "robot was with 95 % probability, seen from the start; the farther from it, the more a heading error moves.</p>"
     )
+
+
+def _calibration(summary: dict[str, Any]) -> str:
+    calibration = summary.get("calibration")
+    if not isinstance(calibration, dict):
+        return ""
+    return f'<h2>Calibration</h2><div class="grid3">{calibration_cards(calibration)}</div>'
 
 
 def _jumps(summary: dict[str, Any], scans: int) -> IntArray:

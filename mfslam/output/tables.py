@@ -10,7 +10,12 @@ _UNITS = {
     "_deg_per_m": "°/m", "_percent": "%", "_m_s": "m/s", "_rad_s": "rad/s", "_m2": "m²", "_ns": "ns", "_mb": "MB", "_deg": "°", "_rad": "rad",
     "_m": "m", "_s": "s", "_hz": "Hz",
 }  # fmt: skip
-_ELSEWHERE = ("findings", "timings_s", "interrupted")  # these have their own place in the report
+_ELSEWHERE = (
+    "findings",
+    "timings_s",
+    "interrupted",
+    "calibration",
+)  # these have their own place in the report
 _ROWS_SHOWN = 40
 
 
@@ -54,6 +59,27 @@ def section_tables(summary: Mapping[str, Any]) -> str:
     cards = [_card("run", single)] if any(key not in _ELSEWHERE for key in single) else []
     shown = [item for item in sections.items() if item[0] not in _ELSEWHERE and item[1]]
     cards += [_card(*item) for item in sorted(shown, key=lambda item: _is_matrix(item[1]))]  # wide ones last
+    return "".join(cards)
+
+
+def calibration_cards(calibration: Mapping[str, Any]) -> str:
+    """What was assumed and what the log itself says, and how sharp the map is before and after."""
+    cards = (
+        [f'<p class="none">Left as assumed: {escape(calibration["left_alone"])}.</p>']
+        if "left_alone" in calibration
+        else []
+    )
+    if calibration.get("found"):
+        columns = ("assumed", "found", "sigma", "unit", "significant", "would_show_it")
+        rows = {
+            name: {column: row.get(column) for column in columns if column in row}
+            for name, row in calibration["found"].items()
+        }
+        used = {True: "used for this map", False: "refused: the map gets blunter with it"}
+        title = used.get(calibration.get("used"), "nothing that differs enough to map again")  # type: ignore[arg-type]
+        cards.append(_card(f"found by the log itself, {title}", rows))
+    if calibration.get("sharpness"):
+        cards.append(_card("how sharp the map is", calibration["sharpness"]))
     return "".join(cards)
 
 

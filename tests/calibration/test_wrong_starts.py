@@ -44,7 +44,7 @@ def drive(late_s: float = 0.0, backwards: bool = False, drift: float = 0.0) -> S
     order = slice(None, None, -1 if backwards else 1)
     laser = dataclasses.replace(model.laser, offsets_s=model.laser.offsets_s[order].copy())
     model = dataclasses.replace(model, laser=laser, stamp_delay_s=late_s, clock_drift=drift)
-    return simulate(load_world("office:1:3:1", 1.0), robot, model, seed=3)
+    return simulate(load_world("office:1:4:1", 1.0), robot, model, seed=3)
 
 
 def config_with(**changes: dict[str, Any]) -> Config:
