@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +56,8 @@ class Belief:
         loops = graph.loops_among(others)
         if not np.array_equal(loops, self._loops):
             self._loops = loops
-            self._poses = graph.solved_with(self._known, self._refined.keyframes, self._poses)
+            with suppress(FloatingPointError):  # then they are as good as the way that led to them
+                self._poses = graph.solved_with(self._known, self._refined.keyframes, self._poses)
         return self._poses
 
     def trajectory(self, slam: Slam) -> FloatArray:
