@@ -14,6 +14,7 @@ from mfslam.types import FloatArray
 NOTHING_AVOIDED = np.zeros((0, 4))
 MAX_HYPOTHESES, ELSEWHERE_M = 3, 1.0
 MAX_POINTS = 150  # more points sharpen a coarse search no further
+FAR_SHARE = 0.8  # of the points are nearer than a typical far one
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,8 @@ def search(
         return center, 0.0
     points = thin_evenly(points_m, MAX_POINTS)
     # the angle step moves the typical far point by one cell
-    reach = max(1.0, float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 80)))
+    typical = int(FAR_SHARE * (len(points) - 1))
+    reach = max(1.0, float(np.partition(np.hypot(points[:, 0], points[:, 1]), typical)[typical]))
     step = place.cell_m / reach
     n = math.ceil(half_window_rad / step)
     angles = np.arange(-n, n + 1) * step

@@ -6,6 +6,7 @@ The optimum is that of gtsam's Levenberg-Marquardt on the same edges, at about a
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,15 +52,15 @@ class PoseSolver:
 
         Leaves `factor` as of the last iteration. Raises FloatingPointError where no step leads anywhere finite.
         """
-        squared = np.where(robust, kernel_sigmas**2, math.inf)
+        kernel = _Kernel(np.flatnonzero(robust), kernel_sigmas**2)
         chi2 = self.chi2(poses)
-        cost = _cost(chi2, weights, squared)
+        cost = kernel.cost(chi2, weights)
         damping = LEAST_DAMPING
         for _ in range(max_iterations):
-            step = self._step(poses, weights / (1.0 + chi2 / squared), damping)
+            step = self._step(poses, kernel.weights(chi2, weights), damping)
             moved = graph_terms.moved_poses(poses, self.factor.place, step)
             chi2_there = self.chi2(moved)
-            cost_there = _cost(chi2_there, weights, squared)
+            cost_there = kernel.cost(chi2_there, weights)
             if not cost_there <= cost * (1.0 + 1e-12):  # not a number, too
                 if np.abs(step).max() < STILL:
                     break
@@ -77,8 +78,8 @@ class PoseSolver:
         self, poses: FloatArray, weights: FloatArray, robust: BoolArray, kernel_sigmas: float
     ) -> None:
         """Make `factor` that of the graph as its poses stand."""
-        squared = np.where(robust, kernel_sigmas**2, math.inf)
-        self._step(poses, weights / (1.0 + self.chi2(poses) / squared), LEAST_DAMPING)
+        kernel = _Kernel(np.flatnonzero(robust), kernel_sigmas**2)
+        self._step(poses, kernel.weights(self.chi2(poses), weights), LEAST_DAMPING)
 
     def chi2(self, poses: FloatArray) -> FloatArray:
         """(E,) of the edges at ``poses`` (K, 3)."""
@@ -98,9 +99,21 @@ class PoseSolver:
         return step
 
 
-def _cost(chi2: FloatArray, weights: FloatArray, squared: FloatArray) -> float:
-    """Sum of chi2 under Cauchy kernels of squared scales (E,), infinite where there is none."""
-    under = np.isfinite(squared)
-    own = np.where(under, 0.0, chi2)
-    own[under] = squared[under] * np.log1p(chi2[under] / squared[under])
-    return float(weights @ own)
+@dataclass(frozen=True, eq=False)
+class _Kernel:
+    """Cauchy kernels of one ``squared`` scale on the edges ``robust`` (R,)."""
+
+    robust: IntArray
+    squared: float
+
+    def weights(self, chi2: FloatArray, weights: FloatArray) -> FloatArray:
+        """(E,) what the kernels leave of the edges' weights."""
+        out = weights.copy()
+        out[self.robust] /= 1.0 + chi2[self.robust] / self.squared
+        return out
+
+    def cost(self, chi2: FloatArray, weights: FloatArray) -> float:
+        """Sum of chi2 (E,) under the kernels."""
+        own = chi2.copy()
+        own[self.robust] = self.squared * np.log1p(chi2[self.robust] / self.squared)
+        return float(weights @ own)

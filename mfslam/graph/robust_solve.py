@@ -26,12 +26,14 @@ def graduated_solve(
     if not np.any(excess > 0.0):
         return solved
     mu = max(LEAST_MU, limit / float(excess.max()))
-    cost = float(weights @ solver.chi2(solved))
+    chi2 = solver.chi2(solved)
+    cost = float(weights @ chi2)
     for _ in range(MAX_ROUNDS):
         weights = weights.copy()
-        weights[doubtful] = _truncated(solver.chi2(solved)[doubtful], mu, limit)
+        weights[doubtful] = _truncated(chi2[doubtful], mu, limit)
         solved = solver.solve(solved, weights, nobody, 1.0, STEPS)
-        cost_before, cost = cost, float(weights @ solver.chi2(solved))
+        chi2 = solver.chi2(solved)
+        cost_before, cost = cost, float(weights @ chi2)
         undecided = np.minimum(weights[doubtful], 1.0 - weights[doubtful])
         if abs(cost_before - cost) <= SAME_COST * max(cost_before, 1e-7) or undecided.max() < BINARY:
             break
