@@ -182,6 +182,11 @@ class MotionSources:
             twist = np.array([twist[0], twist[1], turn_rad / dt_s])
         return PredictedMotion(twist, dt_s, step, turn_rad, self.wheel_errors.noise_scale, self._scan_pause_s)
 
+    @property
+    def comes_with_scans(self) -> bool:
+        """Whether each scan of the log bears the wheels' pose: put together by the recorder, by its own clock."""
+        return bool(self.told_with_scans) and self.told_with_scans[0] is not None
+
     def has_wheels(self, a: int, b: int) -> bool:
         """Whether the wheels told where both scans stand."""
         return self._odom_T_body[a] is not None and self._odom_T_body[b] is not None

@@ -160,6 +160,12 @@ class Calibration:
             words.append("the laser turns in the order of its beams")
         return " and ".join(word for word in words if word)
 
+    def what_changes(self) -> str:
+        """In words what is worth mapping again for; empty where nothing is."""
+        wrong = [self.oddities] if self.oddities else []
+        changed = [e for e in self.significant if e.name in GEOMETRY]
+        return ", ".join(wrong + [f"{e.name} {e.before:.4g} -> {e.value:.4g} {e.kind.unit}" for e in changed])
+
     def settings(self) -> Settings:
         """Stage, key and value of all that is observable and that a setting exists for."""
         return settings_of(self)

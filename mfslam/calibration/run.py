@@ -50,11 +50,6 @@ def record_of(slam: Slam, solution: Solution) -> Record | None:
     )
 
 
-def brings_poses(slam: Slam) -> bool:
-    """Whether each scan of the log bears the wheels' pose: put together by the recorder, by its own clock."""
-    return bool(slam.motion.told_with_scans) and slam.motion.told_with_scans[0] is not None
-
-
 def calibrate(slam: Slam, solution: Solution) -> Calibration | None:
     """The calibration by a finished run; None where there are no wheels, or too little motion to say anything."""
     record = record_of(slam, solution)
@@ -65,7 +60,7 @@ def calibrate(slam: Slam, solution: Solution) -> Calibration | None:
         return None
     config = slam.config
     # the recorder put poses and scans together, whatever their stamps: a delay could be told, but not taken off
-    clock = record.stamps_back_s < LYING_S and not brings_poses(slam)
+    clock = record.stamps_back_s < LYING_S and not slam.motion.comes_with_scans
     start = find_start(record, windows, config.wheels.track_m, clock)
     if abs(start.correlation) < LEAST_CORRELATION:
         return None
@@ -83,7 +78,7 @@ def calibrate(slam: Slam, solution: Solution) -> Calibration | None:
     solved = solve(problem, values)
     found = calibration_of(solved, record, start, config)
     gyro = fit_gyro(record, float(solved.values[-2]) if clock else 0.0)
-    turn = None if brings_poses(slam) else find_turn(slam, solution)
+    turn = None if slam.motion.comes_with_scans else find_turn(slam, solution)
     return found.extended(gyro_estimates(gyro, config)).extended(turn_estimates(turn, config))
 
 

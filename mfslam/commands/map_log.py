@@ -5,12 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from drivers.base import Log
 from drivers.logs import open_log
-from mfslam.calibration.outcome import GEOMETRY, Calibration
-from mfslam.calibration.run import brings_poses, calibrate
 from mfslam.calibration.settings import applied
 from mfslam.commands.interrupts import Interrupts
 from mfslam.commands.progress import Progress
@@ -21,6 +19,9 @@ from mfslam.outcome import Outcome, compare_deskewing, leave, outcome_of
 from mfslam.output import check_writable, run_folder
 from mfslam.slam import Slam, Solution
 from mfslam.types import Findings, Scan
+
+if TYPE_CHECKING:
+    from mfslam.calibration.outcome import Calibration
 
 BLUNTER_SHARE, BLUNTER_BITS = 1.005, 0.005  # of a map's cells, of its entropy: within this it is as sharp
 LEFT_ALONE = (
@@ -76,10 +77,10 @@ def map_calibrated(
     read_log(log, slam, progress, interrupts, findings)
     solution = finish(slam, progress, interrupts, findings)
     findings.merge(log.findings)
-    left_alone = brings_poses(slam)
-    calibration = None if left_alone or interrupts.count else calibrate(slam, solution)
+    left_alone = slam.motion.comes_with_scans
+    calibration = None if left_alone or interrupts.count else _calibrated(slam, solution)
     told: dict[str, Any] = {"left_alone": LEFT_ALONE} if left_alone else {}
-    what = "" if calibration is None else _what_changes(calibration)
+    what = "" if calibration is None else calibration.what_changes()
     if calibration is not None and what:
         progress.tell(f"calibrated: {what}; mapping again")
         slam.release()
@@ -109,11 +110,10 @@ def map_calibrated(
     return outcome, config
 
 
-def _what_changes(calibration: Calibration) -> str:
-    """In words what is worth mapping again for; empty where nothing is."""
-    wrong = [calibration.oddities] if calibration.oddities else []
-    changed = [e for e in calibration.significant if e.name in GEOMETRY]
-    return ", ".join(wrong + [f"{e.name} {e.before:.4g} -> {e.value:.4g} {e.kind.unit}" for e in changed])
+def _calibrated(slam: Slam, solution: Solution) -> Calibration | None:
+    from mfslam.calibration.run import calibrate  # here: scipy's optimisers take long to load
+
+    return calibrate(slam, solution)
 
 
 def _as_sharp(after: dict[str, float], before: dict[str, float]) -> bool:
