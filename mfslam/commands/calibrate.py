@@ -9,7 +9,7 @@ from pathlib import Path
 from drivers.logs import open_log
 from mfslam.calibration.outcome import Calibration
 from mfslam.calibration.passes import calibrate_by_turns
-from mfslam.calibration.run import together
+from mfslam.calibration.run import LEAST_WINDOWS, together
 from mfslam.calibration.settings import yaml_of
 from mfslam.commands.interrupts import Interrupts
 from mfslam.commands.map_log import finish, read_log
@@ -62,10 +62,17 @@ def _say(calibration: Calibration) -> None:
 
 
 def _of_log(path: Path, args: argparse.Namespace, progress: Progress, interrupts: Interrupts) -> Calibration:
+    why = "the robot hardly moves or turns in it, or its wheels tell of other turns than its laser"
+
     def mapped(config: Config) -> tuple[Slam, Solution]:
         slam, findings = Slam(config), Findings()
         with open_log(path, config, topics=topics_of(args)) as log:
             read_log(log, slam, progress, interrupts, findings)
+        nonlocal why
+        if not slam.motion.odometry.has_moved:
+            why = "no wheels in it that turn"
+        elif len(slam.scans) < LEAST_WINDOWS:
+            why = f"only {len(slam.scans)} scans"
         return slam, finish(slam, progress, interrupts, findings)
 
     calibration = calibrate_by_turns(
@@ -73,7 +80,7 @@ def _of_log(path: Path, args: argparse.Namespace, progress: Progress, interrupts
     )
     if calibration is None:
         raise MfslamError(
-            f"{path}: too little to calibrate by: it needs wheels that turn as the laser sees the robot turn, "
-            "and half a minute of driving with turns both ways"
+            f"{path}: too little to calibrate by: {why}; it needs wheels, a laser, and half a minute of driving with "
+            "turns both ways"
         )
     return calibration

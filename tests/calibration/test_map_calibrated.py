@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -51,3 +52,21 @@ def test_a_map_that_gets_blunter_by_either_measure_is_refused() -> None:
     assert _as_sharp({"cells": 1001.0, "entropy_bits": 10.001}, before)
     assert not _as_sharp({"cells": 990.0, "entropy_bits": 10.1}, before)
     assert not _as_sharp({"cells": 1010.0, "entropy_bits": 9.0}, before)
+
+
+@pytest.mark.parametrize(
+    ("settings", "why"),
+    [
+        (["robot.odometry=none"], "no wheels in it that turn"),
+        (["laser.scan_rate_hz=0.5"], r"only \d+ scans"),
+    ],
+)
+def test_a_log_that_gives_too_little_is_refused_in_one_line_that_says_why(
+    settings: list[str], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, out = tmp_path / "log.mcap", tmp_path / "robot.yaml"
+    said = [part for setting in settings for part in ("--set", setting)]
+    assert main(["simulate", "demo", "-o", str(log), "-q", "--laser", "fast", *said]) == 0
+    assert main(["calibrate", str(log), "-o", str(out), "-q"]) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert re.search(why, line) and not out.exists()
