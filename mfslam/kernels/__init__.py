@@ -1,9 +1,9 @@
 """Compiled inner loops: arrays in, arrays out, no classes, no checks (their callers check).
 
 Poses are (x, y, theta) scalars or arrays; every kernel that Python calls releases the GIL and is cached on
-disk, so the compilation is paid once per installation. What only kernels call is a plain ``@njit``: LLVM puts
-the small ones in their places by itself, where inline="always" compiles them anew in every one (and, where
-they take arrays, leaves counts of references in the innermost loops).
+disk, so the compilation is paid once per installation (``@kernel``; `compiling` says how). What only kernels call is a
+``@helper``: LLVM puts the small ones in their places by itself, where inline="always" compiles them anew in every one
+(and, where they take arrays, leaves counts of references in the innermost loops).
 """
 
 import os

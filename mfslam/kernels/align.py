@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from mfslam.kernels.cells import CellTable
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.kernels.matrices import drop_open_direction, open_direction
 from mfslam.kernels.partners import find_partners, nothing_known
 from mfslam.kernels.poses import transform_points, wrap_angle
@@ -14,7 +14,7 @@ from mfslam.types import FloatArray, IntArray
 MIN_NORMAL_COS = 0.7  # partners face the same way within 45 deg
 
 
-@njit
+@helper
 def line_residual(
     rows: FloatArray, q: int, x: float, y: float, own_x: float, own_y: float, radius: float
 ) -> tuple[int, float, float, float]:
@@ -33,14 +33,14 @@ def line_residual(
     return 1, nx, ny, nx * dx + ny * dy
 
 
-@njit
+@helper
 def geman_mcclure(r: float, scale: float) -> float:
     """Weight of a residual."""
     w = scale * scale / (scale * scale + r * r)
     return w * w
 
 
-@njit
+@helper
 def error_from(prior: FloatArray, pose: FloatArray) -> tuple[float, float, float]:
     """From a pose to a prior near it, in the frame of the pose."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -48,7 +48,7 @@ def error_from(prior: FloatArray, pose: FloatArray) -> tuple[float, float, float
     return c * ex + s * ey, -s * ex + c * ey, wrap_angle(prior[2] - pose[2])
 
 
-@njit
+@helper
 def step_by(pose: FloatArray, dx: float, dy: float, turn: float) -> bool:
     """Move a pose in its own frame, in place; whether that was next to nothing."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -58,7 +58,7 @@ def step_by(pose: FloatArray, dx: float, dy: float, turn: float) -> bool:
     return abs(dx) + abs(dy) < 2e-4 and abs(turn) < 1e-4
 
 
-@njit
+@helper
 def _solve3(a: FloatArray, b0: float, b1: float, b2: float) -> tuple[bool, float, float, float]:
     """Solution of the symmetric 3x3 system a x = b by Cramer's rule; False where it is singular."""
     c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
@@ -78,7 +78,7 @@ def _solve3(a: FloatArray, b0: float, b1: float, b2: float) -> tuple[bool, float
     )
 
 
-@njit
+@helper
 def _normal_equations(
     rows: FloatArray,
     partner: IntArray,
@@ -132,7 +132,7 @@ def _normal_equations(
     return b0, b1, b2, sum_r2, weight_sum, mute
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def point_to_line(
     table: CellTable,
     cell: float,
@@ -208,7 +208,7 @@ def point_to_line(
     return pose, h, weight_sum / max(1, points.shape[0] - mute), rms, iteration, converged
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rigid_fit(d: FloatArray, m: FloatArray) -> FloatArray:
     """Pose m_T_d (3,) that brings points ``d`` (N, 2) nearest to their partners ``m`` (eqs. 26-39).
 
@@ -233,7 +233,7 @@ def rigid_fit(d: FloatArray, m: FloatArray) -> FloatArray:
     return np.array([mx - c * dx + s * dy, my - s * dx - c * dy, theta])  # eq. 39
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def point_to_point(
     table: CellTable,
     source: CellTable,

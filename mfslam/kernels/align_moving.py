@@ -3,45 +3,17 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from mfslam.kernels.align import MIN_NORMAL_COS, error_from, geman_mcclure, line_residual, step_by
 from mfslam.kernels.cells import CellTable
-from mfslam.kernels.matrices import open_direction
+from mfslam.kernels.compiling import helper, kernel
+from mfslam.kernels.matrices import cholesky_root, open_direction, solve_by_root
 from mfslam.kernels.partners import find_partners, nothing_known
 from mfslam.kernels.poses import arc, wrap_angle
 from mfslam.types import FloatArray, IntArray
 
 
-@njit
-def _solve_spd(a: FloatArray, b: FloatArray) -> tuple[bool, FloatArray]:
-    """Solution of a x = b for a symmetric positive definite ``a`` (N, N), by Cholesky; False where it is not."""
-    n = b.shape[0]
-    root = np.zeros((n, n))
-    x = b.copy()
-    for u in range(n):
-        for v in range(u + 1):
-            rest = a[u, v]
-            for k in range(v):
-                rest -= root[u, k] * root[v, k]
-            if u == v:
-                if not rest > 0.0:
-                    return False, x
-                root[u, u] = math.sqrt(rest)
-            else:
-                root[u, v] = rest / root[v, v]
-    for u in range(n):
-        for k in range(u):
-            x[u] -= root[u, k] * x[k]
-        x[u] /= root[u, u]
-    for u in range(n - 1, -1, -1):
-        for k in range(u + 1, n):
-            x[u] -= root[k, u] * x[k]
-        x[u] /= root[u, u]
-    return True, x
-
-
-@njit
+@helper
 def _drop_direction(h: FloatArray, b: FloatArray, v0: float, v1: float) -> None:
     """Take the direction (v0, v1) of translation out of the equations of pose and twist (6, 6), (6,)."""
     for first in (0, 3):
@@ -59,7 +31,7 @@ def _drop_direction(h: FloatArray, b: FloatArray, v0: float, v1: float) -> None:
             h[k, first + 1] -= along * v1
 
 
-@njit
+@helper
 def _place_moving(
     points: FloatArray,
     normals: FloatArray,
@@ -86,7 +58,7 @@ def _place_moving(
         placed[i, 3] = s * body[i, 2] + c * body[i, 3]
 
 
-@njit
+@helper
 def _normal_equations(
     rows: FloatArray,
     partner: IntArray,
@@ -134,7 +106,7 @@ def _normal_equations(
             h[v, u] = h[u, v]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def point_to_line_moving(
     table: CellTable,
     cell: float,
@@ -161,7 +133,7 @@ def point_to_line_moving(
     Returns ref_T_src, the change of twist, and whether it converged.
     """
     pose, change = guess.copy(), np.zeros(3)
-    h, b, error = np.empty((6, 6)), np.empty(6), np.empty(6)
+    h, root, b, error = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6)
     index, rows = table
     body, placed = np.empty((points.shape[0], 4)), np.empty((points.shape[0], 4))
     partner, seen = nothing_known(points.shape[0])
@@ -182,12 +154,12 @@ def point_to_line_moving(
             for v in range(6):
                 h[u, v] += prior_information[u, v]
                 b[u] += prior_information[u, v] * error[v]
-        solved, d = _solve_spd(h, b)
-        if not solved:
+        if not cholesky_root(h, root):
             break
-        small = step_by(pose, d[0], d[1], d[2])
+        solve_by_root(root, b)
+        small = step_by(pose, b[0], b[1], b[2])
         for u in range(3):
-            change[u] += d[3 + u]
+            change[u] += b[3 + u]
         if small and radius <= radius_end:
             converged = True
             break

@@ -1,12 +1,12 @@
 """Sparse symmetric matrices of 3x3 blocks: their factor L D L^T, what it solves, and blocks of their inverse."""
 
 import numpy as np
-from numba import njit
 
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.types import FloatArray, IntArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def factor_pattern(starts: IntArray, columns: IntArray) -> tuple[IntArray, IntArray]:
     """Where the factor L of a symmetric matrix has blocks below its diagonal.
 
@@ -43,7 +43,7 @@ def factor_pattern(starts: IntArray, columns: IntArray) -> tuple[IntArray, IntAr
     return first, rows
 
 
-@njit
+@helper
 def _subtract_product(out: FloatArray, o: int, a: FloatArray, i: int, b: FloatArray, j: int) -> None:
     """out[o] -= a[i] b[j], of 3x3 blocks. By number: a block cut out as an array of its own costs as much again."""
     for u in range(3):
@@ -51,7 +51,7 @@ def _subtract_product(out: FloatArray, o: int, a: FloatArray, i: int, b: FloatAr
             out[o, u, v] -= a[i, u, 0] * b[j, 0, v] + a[i, u, 1] * b[j, 1, v] + a[i, u, 2] * b[j, 2, v]
 
 
-@njit
+@helper
 def _subtract_transposed_product(
     out: FloatArray, o: int, a: FloatArray, i: int, b: FloatArray, j: int
 ) -> None:
@@ -61,7 +61,7 @@ def _subtract_transposed_product(
             out[o, u, v] -= a[i, 0, u] * b[j, 0, v] + a[i, 1, u] * b[j, 1, v] + a[i, 2, u] * b[j, 2, v]
 
 
-@njit
+@helper
 def _invert(a: FloatArray, j: int, out: FloatArray) -> None:
     """``out`` (1, 3, 3) becomes the inverse of block j, which is symmetric and positive definite."""
     c00 = a[j, 1, 1] * a[j, 2, 2] - a[j, 1, 2] * a[j, 2, 1]
@@ -75,7 +75,7 @@ def _invert(a: FloatArray, j: int, out: FloatArray) -> None:
     out[0, 1, 0], out[0, 2, 0], out[0, 2, 1] = out[0, 0, 1], out[0, 0, 2], out[0, 1, 2]
 
 
-@njit
+@helper
 def _copy_block(a: FloatArray, i: int, out: FloatArray, o: int) -> None:
     """Element by element: whole blocks at once take a second to compile."""
     for u in range(3):
@@ -83,7 +83,7 @@ def _copy_block(a: FloatArray, i: int, out: FloatArray, o: int) -> None:
             out[o, u, v] = a[i, u, v]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def factorise(first: IntArray, rows: IntArray, diagonal: FloatArray, below: FloatArray) -> None:
     """L D L^T in place: ``diagonal`` (N, 3, 3) becomes the inverse of D, ``below`` (E, 3, 3) the blocks of L.
 
@@ -119,7 +119,7 @@ def factorise(first: IntArray, rows: IntArray, diagonal: FloatArray, below: Floa
                     below[q, u, v] = scaled[0, v, u]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def substitute(
     first: IntArray, rows: IntArray, diagonal: FloatArray, below: FloatArray, x: FloatArray
 ) -> None:
@@ -141,7 +141,7 @@ def substitute(
                 x[j, u] -= below[q, 0, u] * x[b, 0] + below[q, 1, u] * x[b, 1] + below[q, 2, u] * x[b, 2]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def path_columns(
     first: IntArray, rows: IntArray, below: FloatArray, at: IntArray, given: FloatArray
 ) -> tuple[IntArray, FloatArray]:
@@ -175,7 +175,7 @@ def path_columns(
     return path, blocks
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def path_product(
     path_a: IntArray, a: FloatArray, path_b: IntArray, b: FloatArray, diagonal: FloatArray
 ) -> FloatArray:
@@ -199,7 +199,7 @@ def path_product(
     return out.reshape(3, 3)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def invert_selected(first: IntArray, rows: IntArray, diagonal: FloatArray, below: FloatArray) -> None:
     """The inverse Z in the pattern of L, in place of what `factorise` left: ``diagonal`` becomes Z_jj. The recursion of
     Takahashi, Fagan and Chen (1973), without the inverse itself, which is full.

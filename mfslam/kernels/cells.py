@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.types import FloatArray, IntArray
 
 # of every slot: key, first row and the row after the last, (capacity, 3); points sorted by cell, (M, 4)
@@ -12,12 +12,12 @@ CellTable = tuple[IntArray, FloatArray]
 FREE = np.iinfo(np.int64).min  # key of a slot without cell
 
 
-@njit
+@helper
 def cell_key(ix: int, iy: int) -> int:
     return (ix << 32) ^ (iy & 0xFFFFFFFF)
 
 
-@njit
+@helper
 def find_slot(index: IntArray, key: int) -> int:
     """Slot of ``key``, or the free one where it would go."""
     mask = index.shape[0] - 1
@@ -29,7 +29,7 @@ def find_slot(index: IntArray, key: int) -> int:
     return slot
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def build_cells(oriented: FloatArray, cell: float) -> CellTable:
     """Hash grid over oriented points (M, 4): rows x, y, nx, ny, which it keeps sorted by cell."""
     m = oriented.shape[0]
@@ -60,7 +60,7 @@ def build_cells(oriented: FloatArray, cell: float) -> CellTable:
     return index, rows
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def smooth_surface(table: CellTable, cell: float, radius: float, spacing: float) -> FloatArray:
     """Surface points (K, 4) of a table: thinned to about ``spacing``, each moved along its normal to the
     mean of its like-minded neighbours within ``radius``.

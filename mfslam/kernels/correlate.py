@@ -4,15 +4,15 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.types import FloatArray, IntArray
 
 SAME_HEADING = math.cos(0.5)
 ByteArray = npt.NDArray[np.uint8]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def likelihood_grid(
     points: FloatArray, origin: FloatArray, rows: int, cols: int, cell: float, sigma: float
 ) -> ByteArray:
@@ -31,7 +31,7 @@ def likelihood_grid(
     return grid
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pyramid(grid: ByteArray, levels: int) -> ByteArray:
     """(levels, B + rows + 1, B + cols + 1) with B = 2^(levels - 1): level h holds the maximum over the
     2^h x 2^h block that starts at each cell, an upper bound of the score for every shift inside the block.
@@ -56,7 +56,7 @@ def pyramid(grid: ByteArray, levels: int) -> ByteArray:
     return out
 
 
-@njit
+@helper
 def _four_scores(
     levels: ByteArray, h: int, xs: IntArray, ys: IntArray, ox: int, oy: int, step: int, out: IntArray
 ) -> None:
@@ -76,7 +76,7 @@ def _four_scores(
     out[0], out[1], out[2], out[3] = s00, s01, s10, s11
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _is_avoided(avoid: FloatArray, x: float, y: float, theta: float) -> bool:
     for n in range(avoid.shape[0]):
         dx, dy = x - avoid[n, 0], y - avoid[n, 1]
@@ -85,7 +85,7 @@ def _is_avoided(avoid: FloatArray, x: float, y: float, theta: float) -> bool:
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def branch_and_bound(
     levels: ByteArray,
     origin: FloatArray,
@@ -175,7 +175,7 @@ def branch_and_bound(
     return pose, found
 
 
-@njit
+@helper
 def _best_first(scores: IntArray, perfect: int, least: float) -> IntArray:
     """Indices of the scores (N,) above ``least``, the best first: sorted into 256 bins, which is near enough
     for an order to search in."""

@@ -4,15 +4,15 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from mfslam.kernels.compiling import kernel
 from mfslam.types import FloatArray, IntArray
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 ByteArray = npt.NDArray[np.uint8]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def evidence_grid(
     origins: FloatArray,
     first: IntArray,
@@ -60,7 +60,7 @@ def evidence_grid(
     return grid
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def agreement(
     grid: ByteArray, corner: FloatArray, cell: float, grid_T_points: FloatArray, points: FloatArray
 ) -> tuple[int, int, int]:

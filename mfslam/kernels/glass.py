@@ -7,8 +7,8 @@ did that came squarely: these met glass nearly always, and passed where the pers
 import math
 
 import numpy as np
-from numba import njit
 
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.kernels.poses import arc
 from mfslam.kernels.surfels import EMPTY, SECTORS, find_patch, patch_place
 from mfslam.types import BoolArray, Float32Array, FloatArray, IntArray
@@ -16,7 +16,7 @@ from mfslam.types import BoolArray, Float32Array, FloatArray, IntArray
 SQUARE = math.cos(math.radians(10.0))  # cosine of incidence from which a beam meets a surface squarely
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_square(
     lines: FloatArray,
     ranges: Float32Array,
@@ -70,7 +70,7 @@ def count_square(
                 passed[q] += 1
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _laser_at(
     pose: FloatArray, twist: FloatArray, time: float, mount: FloatArray
 ) -> tuple[float, float, float]:
@@ -86,7 +86,7 @@ def _laser_at(
     return px + c * mount[0] - s * mount[1], py + s * mount[0] + c * mount[1], heading + mount[2]
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _beam_towards(bearing: float, angles: FloatArray, step: float) -> int:
     """The beam nearest to a bearing; -1 where none points there."""
     n = angles.shape[0]
@@ -103,7 +103,7 @@ def _beam_towards(bearing: float, angles: FloatArray, step: float) -> int:
     return at if abs(angles[at] - bearing) <= step else -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def share_behind(
     keys: IntArray, sums: FloatArray, lines: FloatArray, cell: float, sigma: float
 ) -> FloatArray:
@@ -133,7 +133,7 @@ def share_behind(
     return share
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def keep_runs(
     keys: IntArray, lines: FloatArray, glassy: BoolArray, cell: float, sigma: float, least: int
 ) -> BoolArray:
@@ -160,7 +160,7 @@ def keep_runs(
     return kept
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _is_glassy(
     keys: IntArray,
     lines: FloatArray,
@@ -190,7 +190,7 @@ def _is_glassy(
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def draw_lines(lines: FloatArray, half: float, origin: FloatArray, cell: float, occupied: BoolArray) -> None:
     """Set the cells that patches (K, 5) cover, ``half`` m to either side along their lines."""
     rows, cols = occupied.shape

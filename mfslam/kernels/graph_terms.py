@@ -3,13 +3,13 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.kernels.poses import arc, wrap_angle
 from mfslam.types import FloatArray, IntArray
 
 
-@njit
+@helper
 def _residual(measured: FloatArray, e: int, poses: FloatArray, i: int, j: int, out: FloatArray) -> None:
     """log(measured^-1 i_T_j) into ``out[:3]``, sine and cosine of i_T_j, its x and y into ``out[3:7]``. An edge of one pose
     (i = j) measures it in the world."""
@@ -28,7 +28,7 @@ def _residual(measured: FloatArray, e: int, poses: FloatArray, i: int, j: int, o
     out[0], out[1], out[2] = half_cot * x + half * y, -half * x + half_cot * y, w
 
 
-@njit
+@helper
 def _chi2(information: FloatArray, e: int, r: FloatArray) -> float:
     total = 0.0
     for u in range(3):
@@ -37,7 +37,7 @@ def _chi2(information: FloatArray, e: int, r: FloatArray) -> float:
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def edge_chi2(ends: IntArray, measured: FloatArray, information: FloatArray, poses: FloatArray) -> FloatArray:
     """(E,) chi2 of every edge at ``poses`` (K, 3); ``ends`` (E, 2) keyframes, ``measured`` (E, 3)."""
     out = np.empty(ends.shape[0])
@@ -48,7 +48,7 @@ def edge_chi2(ends: IntArray, measured: FloatArray, information: FloatArray, pos
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def normal_equations(
     ends: IntArray,
     measured: FloatArray,
@@ -144,7 +144,7 @@ def normal_equations(
                 )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def moved_poses(poses: FloatArray, place: IntArray, step: FloatArray) -> FloatArray:
     """(K, 3) poses after right perturbations ``step``, by rows of the equations (`place`)."""
     out = poses.copy()

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mfslam.kernels.compiling import kernel
 from mfslam.types import FloatArray, IntArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_product(
     first: IntArray, columns: IntArray, blocks: FloatArray, x: FloatArray, out: FloatArray
 ) -> None:
@@ -34,7 +34,7 @@ def add_product(
                     out[3 * j + 2, r] += b02 * x0 + b12 * x1 + b22 * x2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_stretches(
     first: IntArray, columns: IntArray, blocks: FloatArray, size: int, carried: FloatArray, coarse_of: IntArray,
     within: FloatArray,

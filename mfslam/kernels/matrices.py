@@ -3,12 +3,12 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.types import FloatArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_error(information: FloatArray, var_xy: float, var_turn: float) -> FloatArray:
     """Information (3, 3) after an independent error is added to the covariance: (H^-1 + F)^-1, written
     H (I + F H)^-1 so that a singular H stays singular in the same direction."""
@@ -38,7 +38,7 @@ def add_error(information: FloatArray, var_xy: float, var_turn: float) -> FloatA
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def upper_root(information: FloatArray, absolute_floor: float, relative_floor: float) -> FloatArray:
     """Upper triangular R with R^T R = H + e I, by Cholesky; e the larger of both floors (the relative one
     times the trace of H). Not a number where H is not finite or not positive semidefinite."""
@@ -59,7 +59,7 @@ def upper_root(information: FloatArray, absolute_floor: float, relative_floor: f
     return root
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def open_direction(information: FloatArray, least_share: float) -> tuple[bool, float, float]:
     """Whether a direction of translation (the first two rows) holds less than ``least_share`` of the information of the one
     across it, and that direction (unit vector).
@@ -75,7 +75,7 @@ def open_direction(information: FloatArray, least_share: float) -> tuple[bool, f
     return weak < least_share * strong, math.cos(angle), math.sin(angle)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def drop_open_direction(information: FloatArray, least_share: float) -> FloatArray:
     """Information (3, 3) without what noise feigns along an open direction: nothing of it is left."""
     is_open, v0, v1 = open_direction(information, least_share)
@@ -93,3 +93,35 @@ def drop_open_direction(information: FloatArray, least_share: float) -> FloatArr
     out[0, 2] = out[2, 0] = p00 * information[0, 2] + p01 * information[1, 2]
     out[1, 2] = out[2, 1] = p01 * information[0, 2] + p11 * information[1, 2]
     return out
+
+
+@helper
+def cholesky_root(a: FloatArray, root: FloatArray) -> bool:
+    """Lower triangular R of R R^T = a (N, N), in ``root``, above whose diagonal nothing is touched; False where ``a`` is
+    not positive definite."""
+    for u in range(a.shape[0]):
+        for v in range(u + 1):
+            rest = a[u, v]
+            for k in range(v):
+                rest -= root[u, k] * root[v, k]
+            if u > v:
+                root[u, v] = rest / root[v, v]
+            elif rest > 0.0:
+                root[u, u] = math.sqrt(rest)
+            else:
+                return False
+    return True
+
+
+@helper
+def solve_by_root(root: FloatArray, x: FloatArray) -> None:
+    """The solution of R R^T y = x in place of ``x`` (N,)."""
+    n = x.shape[0]
+    for u in range(n):
+        for k in range(u):
+            x[u] -= root[u, k] * x[k]
+        x[u] /= root[u, u]
+    for u in range(n - 1, -1, -1):
+        for k in range(u + 1, n):
+            x[u] -= root[k, u] * x[k]
+        x[u] /= root[u, u]

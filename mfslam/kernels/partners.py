@@ -3,21 +3,21 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from mfslam.kernels.cells import cell_key, find_slot
+from mfslam.kernels.compiling import kernel
 from mfslam.types import FloatArray, IntArray
 
 FIRST_LOOK = 0.4  # of a cell: most points have a partner that near
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def nothing_known(count: int) -> tuple[IntArray, FloatArray]:
     """What `find_partners` knows of ``count`` points before it has sought any."""
     return np.full(count, -1, np.int64), np.full((count, 3), -1.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_partners(
     index: IntArray,
     rows: FloatArray,

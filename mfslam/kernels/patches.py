@@ -1,12 +1,12 @@
 """Free space made whole: crumbs taken away, slits between beams filled."""
 
 import numpy as np
-from numba import njit
 
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.types import BoolArray, Int8Array, IntArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def drop_crumbs(free: BoolArray, min_cells: int, min_side: int, kept: IntArray) -> None:
     """Clear connected patches (4 neighbours) of fewer than ``min_cells`` cells, or without any square of ``min_side``
     cells in them; but none that holds one of the ``kept`` cells (K, 2), row and column.
@@ -64,7 +64,7 @@ def drop_crumbs(free: BoolArray, min_cells: int, min_side: int, kept: IntArray) 
                     free[i, j] = False
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _join_rows(first: IntArray, last: IntArray, parent: IntArray, above: int, here: int, end: int) -> None:
     """Join each run of a row, from ``here`` on, with those of the row before, from ``above`` on, that it touches."""
     a, b = above, here
@@ -78,7 +78,7 @@ def _join_rows(first: IntArray, last: IntArray, parent: IntArray, above: int, he
             b += 1
 
 
-@njit(cache=True, nogil=True, inline="always")
+@helper
 def _root(parent: IntArray, k: int) -> int:
     while parent[k] != k:
         parent[k] = parent[parent[k]]
@@ -86,7 +86,7 @@ def _root(parent: IntArray, k: int) -> int:
     return k
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fill_slits(occupancy: Int8Array, between: int, before: int) -> None:
     """Unknown cells (-1) become free (0) in slits along a row or a column: of at most ``between`` cells from free to free,
     where beams fan out, and of at most ``before`` cells from free to occupied, where a wall was thinned."""

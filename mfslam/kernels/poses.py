@@ -3,17 +3,17 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.types import FloatArray
 
 
-@njit
+@helper
 def wrap_angle(angle: float) -> float:
     return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 
-@njit
+@helper
 def arc(vx: float, vy: float, w: float) -> tuple[float, float, float]:
     """SE(2) exponential: where a twist held for unit time leads."""
     if abs(w) < 1e-9:
@@ -24,7 +24,7 @@ def arc(vx: float, vy: float, w: float) -> tuple[float, float, float]:
     return s * vx - c * vy, c * vx + s * vy, w
 
 
-@njit
+@helper
 def after_arc(vx: float, vy: float, w: float, px: float, py: float) -> tuple[float, float]:
     """A point of the frame that a twist leads to (`arc`), seen from where it began."""
     half_sin, half_cos = math.sin(0.5 * w), math.cos(0.5 * w)
@@ -36,7 +36,7 @@ def after_arc(vx: float, vy: float, w: float, px: float, py: float) -> tuple[flo
     return x + c * px - s * py, y + s * px + c * py
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def advance(w_T_a: FloatArray, twist: FloatArray, duration_s: float) -> FloatArray:
     """Pose after a body twist was held for a time: the exact arc."""
     x, y, turn = arc(twist[0] * duration_s, twist[1] * duration_s, twist[2] * duration_s)
@@ -48,7 +48,7 @@ def advance(w_T_a: FloatArray, twist: FloatArray, duration_s: float) -> FloatArr
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def compose(a_T_b: FloatArray, b_T_c: FloatArray) -> FloatArray:
     c, s = math.cos(a_T_b[2]), math.sin(a_T_b[2])
     out = np.empty(3)
@@ -58,7 +58,7 @@ def compose(a_T_b: FloatArray, b_T_c: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def between(w_T_a: FloatArray, w_T_b: FloatArray) -> FloatArray:
     c, s = math.cos(w_T_a[2]), math.sin(w_T_a[2])
     dx, dy = w_T_b[0] - w_T_a[0], w_T_b[1] - w_T_a[1]
@@ -69,7 +69,7 @@ def between(w_T_a: FloatArray, w_T_b: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def transform_points(a_T_b: FloatArray, points: FloatArray, normals: FloatArray, out: FloatArray) -> None:
     """Points and normals (M, 2) of frame b, moved into rows x, y, nx, ny of ``out`` (M, 4) in frame a."""
     c, s = math.cos(a_T_b[2]), math.sin(a_T_b[2])
@@ -80,7 +80,7 @@ def transform_points(a_T_b: FloatArray, points: FloatArray, normals: FloatArray,
         out[k, 3] = s * normals[k, 0] + c * normals[k, 1]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def log(pose: FloatArray) -> FloatArray:
     """Twist that reaches a pose in unit time."""
     w = wrap_angle(pose[2])
@@ -93,7 +93,7 @@ def log(pose: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def interpolate(w_T_a: FloatArray, w_T_b: FloatArray, share: float) -> FloatArray:
     """Pose at ``share`` of the constant-twist path from a (0) to b (1)."""
     pose: FloatArray = advance(w_T_a, log(between(w_T_a, w_T_b)), share)

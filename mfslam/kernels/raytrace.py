@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.types import Float32Array, FloatArray, Int8Array
 
 CountArray = npt.NDArray[np.uint16]
@@ -15,7 +15,7 @@ SILENT, FREE, HIT = 0, 1, 2  # a beam that says nothing, met nothing, met someth
 FULL = np.iinfo(np.uint16).max
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def place_beams(
     ranges: Float32Array,
     poses: FloatArray,
@@ -69,7 +69,7 @@ def place_beams(
             ends[k, j, 1] = starts[k, j, 1] + r * (s * cos_beam[j] + c * sin_beam[j])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def drop_mixed(
     ranges: Float32Array,
     starts: FloatArray,
@@ -103,7 +103,7 @@ def drop_mixed(
                 ends[k, j, u] = starts[k, j, u] + share * (ends[k, j, u] - starts[k, j, u])
 
 
-@njit(cache=True, nogil=True, inline="always")
+@helper
 def _on_line(ranges: Float32Array, j: int, side: int, sigma: float) -> bool:
     """Whether a range goes on along the line of the two beside it."""
     if not 0 <= j + 2 * side < ranges.shape[0]:
@@ -118,7 +118,7 @@ def _on_line(ranges: Float32Array, j: int, side: int, sigma: float) -> bool:
     return on_line
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def limit_range(
     starts: FloatArray, ends: FloatArray, kinds: KindArray, max_range: float, bounds: FloatArray
 ) -> None:
@@ -138,7 +138,7 @@ def limit_range(
             bounds[2], bounds[3] = max(bounds[2], x, ends[k, j, 0]), max(bounds[3], y, ends[k, j, 1])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def stop_short(
     starts: FloatArray, ends: FloatArray, kinds: KindArray, sigma: float, stops: FloatArray
 ) -> None:
@@ -165,7 +165,7 @@ def stop_short(
             stops[k, j, 1] = starts[k, j, 1] + share * dy
 
 
-@njit(cache=True, nogil=True, inline="always")
+@helper
 def _sine_to_surface(
     ends: FloatArray, kinds: KindArray, j: int, side: int, dx: float, dy: float, length: float, sigma: float
 ) -> float:
@@ -185,7 +185,7 @@ def _sine_to_surface(
     return -1.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def trace_beams(
     starts: FloatArray,
     stops: FloatArray,
@@ -233,14 +233,14 @@ def trace_beams(
         _count(hits_flat if kinds[b] == HIT else passes_flat, end_y * cols + end_x)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@helper
 def _count(counts: CountArray, at: int) -> None:
     k = np.uintp(at)  # unsigned: no check for negative indices
     known = counts[k]
     counts[k] = known + (known != FULL)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def bridge_hits(
     ends: FloatArray,
     kinds: KindArray,

@@ -3,14 +3,14 @@
 import heapq
 
 import numpy as np
-from numba import njit
 
+from mfslam.kernels.compiling import kernel
 from mfslam.types import FloatArray, IntArray
 
 LEVER_M = 10.0  # weighs heading against position when paths are compared
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def relative_sigmas(
     start: int,
     poses: FloatArray,

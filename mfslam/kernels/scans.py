@@ -3,13 +3,13 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.kernels.poses import after_arc
 from mfslam.types import BoolArray, Float32Array, FloatArray, IntArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def oriented_points(
     ranges: Float32Array, directions: FloatArray, times: FloatArray, mount: FloatArray, twist: FloatArray,
     range_min: float, range_max: float, beam_step: float, sigma: float, spacing: float,
@@ -31,7 +31,7 @@ def oriented_points(
     return points, normals, beams
 
 
-@njit
+@helper
 def project_beams(
     ranges: Float32Array,
     directions: FloatArray,
@@ -73,7 +73,7 @@ def project_beams(
     return points[:m], beams[:m]
 
 
-@njit
+@helper
 def estimate_normals(
     points: FloatArray, beams: IntArray, origin: FloatArray, beam_step: float, sigma: float
 ) -> FloatArray:
@@ -129,7 +129,7 @@ def estimate_normals(
     return normals
 
 
-@njit
+@helper
 def thin_points(
     points: FloatArray,
     normals: FloatArray,

@@ -8,14 +8,15 @@ prior: Barfoot, Tong and Sarkka 2014).
 import math
 
 import numpy as np
-from numba import njit
 
+from mfslam.kernels.compiling import helper, kernel
+from mfslam.kernels.matrices import cholesky_root, solve_by_root
 from mfslam.types import BoolArray, FloatArray
 
 UNKNOWN_VELOCITY, UNKNOWN_ACCELERATION = 100.0, 100.0  # variances before anything is known
 
 
-@njit
+@helper
 def _carry(dt: float, state: FloatArray, cov: FloatArray, phi_cov: FloatArray) -> None:
     """State (3,) and covariance (3, 3) after ``dt`` s without noise, in place; ``phi_cov``: transition times covariance."""
     half = 0.5 * dt * dt
@@ -31,7 +32,7 @@ def _carry(dt: float, state: FloatArray, cov: FloatArray, phi_cov: FloatArray) -
         cov[u, 2] = phi_cov[u, 2]
 
 
-@njit
+@helper
 def _add_noise(dt: float, jerk: float, cov: FloatArray) -> None:
     """What white noise of spectral density ``jerk`` on the third derivative adds to a covariance (3, 3) in ``dt`` s."""
     cov[0, 0] += jerk * dt**5 / 20.0
@@ -43,7 +44,7 @@ def _add_noise(dt: float, jerk: float, cov: FloatArray) -> None:
     cov[1, 0], cov[2, 0], cov[2, 1] = cov[0, 1], cov[0, 2], cov[1, 2]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def run_forward(
     times: FloatArray,
     position: FloatArray,
@@ -59,11 +60,13 @@ def run_forward(
     Returns minus twice the log likelihood of the positions, less a constant.
     """
     cost = 0.0
-    state, cov, scratch = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+    state, cov, scratch = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for n in range(times.shape[0]):
         if n == 0 or begins[n]:
-            state[:] = 0.0
-            cov[:] = 0.0
+            for u in range(3):
+                state[u] = 0.0
+                for v in range(3):
+                    cov[u, v] = 0.0
             state[0], cov[0, 0] = position[n], variance[n]
             cov[1, 1], cov[2, 2] = UNKNOWN_VELOCITY, UNKNOWN_ACCELERATION
         else:
@@ -85,26 +88,49 @@ def run_forward(
             cov[1, 2] -= g1 * c2
             cov[2, 2] -= g2 * c2
             cov[1, 0], cov[2, 0], cov[2, 1] = cov[0, 1], cov[0, 2], cov[1, 2]
-        states[n] = state
-        covariances[n] = cov
+        for u in range(3):
+            states[n, u] = state[u]
+            for v in range(3):
+                covariances[n, u, v] = cov[u, v]
     return cost
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def run_back(
     times: FloatArray, begins: BoolArray, jerk: float, states: FloatArray, covariances: FloatArray
 ) -> None:
     """Smooth what `run_forward` has filled, in place."""
-    state, cov, scratch = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+    state, cov, scratch = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    gain, root = np.empty((3, 3)), np.empty((3, 3))
     for n in range(times.shape[0] - 2, -1, -1):
         if begins[n + 1]:
             continue
-        state[:] = states[n]
-        cov[:] = covariances[n]
+        for u in range(3):
+            state[u] = states[n, u]
+            for v in range(3):
+                cov[u, v] = covariances[n, u, v]
         dt = times[n + 1] - times[n]
         _carry(dt, state, cov, scratch)
         _add_noise(dt, jerk, cov)
-        gain = np.linalg.solve(cov, scratch).T
-        states[n] += gain @ (states[n + 1] - state)
-        smoothed = covariances[n] + gain @ (covariances[n + 1] - cov) @ gain.T
-        covariances[n] = 0.5 * (smoothed + smoothed.T)
+        if not cholesky_root(cov, root):
+            continue  # nothing is learnt from what comes after
+        for u in range(3):
+            for v in range(3):
+                gain[u, v] = scratch[v, u]
+            solve_by_root(root, gain[u])
+            for v in range(3):
+                cov[u, v] = covariances[n + 1, u, v] - cov[u, v]
+                states[n, u] += gain[u, v] * (states[n + 1, v] - state[v])
+        _add_turned(gain, cov, covariances, n)
+
+
+@helper
+def _add_turned(gain: FloatArray, change: FloatArray, covariances: FloatArray, n: int) -> None:
+    """covariances[n] += gain change gain^T of a symmetric ``change`` (3, 3)."""
+    for u in range(3):
+        g0 = gain[u, 0] * change[0, 0] + gain[u, 1] * change[1, 0] + gain[u, 2] * change[2, 0]
+        g1 = gain[u, 0] * change[0, 1] + gain[u, 1] * change[1, 1] + gain[u, 2] * change[2, 1]
+        g2 = gain[u, 0] * change[0, 2] + gain[u, 1] * change[1, 2] + gain[u, 2] * change[2, 2]
+        for v in range(u + 1):
+            covariances[n, u, v] += g0 * gain[v, 0] + g1 * gain[v, 1] + g2 * gain[v, 2]
+            covariances[n, v, u] = covariances[n, u, v]

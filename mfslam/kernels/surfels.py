@@ -8,8 +8,8 @@ their surface, within their noise.
 import math
 
 import numpy as np
-from numba import njit
 
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.kernels.raytrace import HIT, KindArray
 from mfslam.kernels.scans import estimate_normals
 from mfslam.types import FloatArray, Int8Array, IntArray
@@ -26,7 +26,7 @@ MOST_SIGMAS = 4.0  # a hit farther off than this is not of that surface
 REACH = 3  # patches to either side that a surface is averaged over
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_hits(
     keys: IntArray,
     sums: FloatArray,
@@ -76,12 +76,12 @@ def add_hits(
     return keys, sums, used
 
 
-@njit(cache=True, nogil=True, inline="always")
+@helper
 def _sector(nx: float, ny: float) -> int:
     return round(math.atan2(ny, nx) * SECTORS / (2.0 * math.pi)) % SECTORS
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_patch(keys: IntArray, ix: int, iy: int, sector: int) -> int:
     """Slot of a patch, or of the free place where it would go. The patches of one cell share a line of the cache."""
     key = _key(ix, iy, sector)
@@ -94,19 +94,19 @@ def find_patch(keys: IntArray, ix: int, iy: int, sector: int) -> int:
     return slot
 
 
-@njit(cache=True, nogil=True, inline="always")
+@helper
 def _key(ix: int, iy: int, sector: int) -> int:
     return ((ix * SECTORS + sector) << 32) ^ (iy & 0xFFFFFFFF)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def patch_place(key: int) -> tuple[int, int, int]:
     """Cell, x and y, and sector of a key."""
     iy = key & 0xFFFFFFFF
     return (key >> 32) // SECTORS, iy - ((iy >> 31) << 32), (key >> 32) % SECTORS
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _grown(keys: IntArray, sums: FloatArray) -> PatchTable:
     more_keys = np.full(2 * keys.shape[0], EMPTY, np.int64)
     more_sums = np.zeros((2 * keys.shape[0], 5))
@@ -120,7 +120,7 @@ def _grown(keys: IntArray, sums: FloatArray) -> PatchTable:
     return more_keys, more_sums
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fit_surfaces(keys: IntArray, sums: FloatArray, cell: float, sigma: float, rounds: int) -> FloatArray:
     """The line of each patch (slots, 5): a point on it, x and y, the unit normal, and the hits that told it.
 
@@ -148,7 +148,7 @@ def fit_surfaces(keys: IntArray, sums: FloatArray, cell: float, sigma: float, ro
     return lines
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _mean_around(
     keys: IntArray,
     sums: FloatArray,
@@ -199,7 +199,7 @@ def _mean_around(
     return sw, mo - tilt * ma, tilt
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def adjust_ends(
     keys: IntArray,
     lines: FloatArray,
@@ -227,7 +227,7 @@ def adjust_ends(
             ends[k, j, 1] += shift_y
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _towards_line(
     keys: IntArray,
     lines: FloatArray,

@@ -3,17 +3,17 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from mfslam.kernels.align import geman_mcclure
 from mfslam.kernels.cells import CellTable, cell_key, find_slot
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.types import FloatArray, IntArray
 
 ALIKE_COS = 0.85  # normals of one patch
 SUMS = 24  # of a group: see `group_sums`
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def seed_patches(table: CellTable, cell: float, length: float) -> FloatArray:
     """Oriented points (S, 4), about ``length`` apart, that stand for the surface in a table: each the mean of
     its like-minded neighbours."""
@@ -49,7 +49,7 @@ def seed_patches(table: CellTable, cell: float, length: float) -> FloatArray:
     return out[:count]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fit_patches(
     count: int, points: FloatArray, first: IntArray, poses: FloatArray, patch: IntArray, lines: FloatArray,
     scale: float,
@@ -94,7 +94,7 @@ def fit_patches(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def group_sums(
     points: FloatArray, origins: FloatArray, normals: FloatArray, first: IntArray, poses: FloatArray,
     patch: IntArray, lines: FloatArray, range_sigma: float, patch_sigma: float, kernel_m: float,
@@ -181,7 +181,7 @@ def group_sums(
     return scan_of[:count], patch_of[:count], sums[:count]
 
 
-@njit
+@helper
 def _roots(patches: int, patch_of: IntArray, sums: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Per patch the lower triangle (3) of a root of the inverse of the line's block, zero where fewer than
     two scans saw it; and that root's transpose times the line's gradient (2)."""
@@ -208,7 +208,7 @@ def _roots(patches: int, patch_of: IntArray, sums: FloatArray) -> tuple[FloatArr
     return root, rooted
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pose_equations(
     scans: int, patches: int, scan_of: IntArray, patch_of: IntArray, sums: FloatArray
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:

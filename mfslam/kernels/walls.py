@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from mfslam.kernels.compiling import helper, kernel
 from mfslam.kernels.raytrace import CountArray
 from mfslam.types import BoolArray, Float32Array, FloatArray, IntArray
 
@@ -18,7 +18,7 @@ ByteArray = npt.NDArray[np.uint8]
 _FLANK, _SEEN = 2, 3  # marks of flanks, while islands are sought
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def smooth_hits(
     hits: CountArray, cells: IntArray, weights: FloatArray, top: int, density: Float32Array
 ) -> None:
@@ -38,7 +38,7 @@ def smooth_hits(
         density[row - top, col] = total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_flanks(
     density: Float32Array, top: int, cells: IntArray, reach: int, window: int, along: int
 ) -> tuple[BoolArray, Float32Array]:
@@ -92,13 +92,13 @@ def find_flanks(
     return flank, values
 
 
-@njit(cache=True, nogil=True, inline="always")
+@helper
 def _density_at(density: Float32Array, row: int, col: int) -> float:
     inside = 0 <= row < density.shape[0] and 0 <= col < density.shape[1]
     return density[row, col] if inside else 0.0
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _sum_along(density: Float32Array, row: int, col: int, nx: float, ny: float, along: int) -> float:
     """Sum over a piece of wall with the normal (nx, ny), its middle at a cell, less to its ends."""
     scale = 1.0 / max(abs(nx), abs(ny))
@@ -109,7 +109,7 @@ def _sum_along(density: Float32Array, row: int, col: int, nx: float, ny: float, 
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def thin_walls(occupied: BoolArray, cells: IntArray) -> None:
     """Clear ``cells`` (K, 2) of ``occupied`` in their order, over and over, except those that connect."""
     changed = True
@@ -122,7 +122,7 @@ def thin_walls(occupied: BoolArray, cells: IntArray) -> None:
                 changed = True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def drop_islands(marks: ByteArray, flanks: IntArray) -> None:
     """Clear what stands apart and is made of ``flanks`` (K, 2) alone: specks beside a wall.
 
@@ -152,7 +152,7 @@ def drop_islands(marks: ByteArray, flanks: IntArray) -> None:
             marks[island[q, 0], island[q, 1]] = 0 if apart else 1
 
 
-@njit(cache=True, nogil=True, inline="always")
+@helper
 def _is_simple(occupied: BoolArray, row: int, col: int) -> bool:
     """Whether clearing a cell leaves what is connected connected (8 neighbours for occupied, 4 for clear):
     Hilditch's crossing number is one. A lone cell stays."""
