@@ -42,7 +42,7 @@ def compile_once(tell: Callable[[str], None]) -> float:
     """Make sure that compiled kernels lie in the cache; returns the CPU seconds it took (0: they did)."""
     if all(_is_cached(kernel) for kernel in _kernels()):
         return 0.0
-    tell("first run: compiling kernels (once per installation, some 15 s) ...")
+    tell("first run: compiling kernels (once per installation, some 25 s) ...")
     start_s = time.process_time()
     collects = gc.isenabled()
     gc.disable()  # numba makes millions of small objects and keeps most: looking them through is a fifth of its time
