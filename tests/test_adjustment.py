@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from mfslam import se2
 from mfslam.adjustment import Noise, WheelTerms, adjust
-from mfslam.adjustment.equations import Equations, HalfMatrix, Solver
+from mfslam.adjustment.equations import Equations, Solver
+from mfslam.adjustment.walls import Walls
 from mfslam.config import Config, OdometryConfig
 from mfslam.deskew import deskew
-from mfslam.kernels import wall_patches
+from mfslam.kernels import wall_patches, wall_terms
 from mfslam.types import Edge, Scan
 from mfslam.wheel_errors import WheelStep
 from tests.rooms import ROOM, ROOM_PILLARS, laser, moving_scan
@@ -157,17 +158,39 @@ def test_pose_equations_are_the_schur_complement():
         sums[g, 6:9], sums[g, 9:12] = block[:3, 3], block[:3, 4]
         sums[g, 12:15] = block[3, 3], block[3, 4], block[4, 4]
         sums[g, 15:18], sums[g, 18:20] = -of_pose.T @ residual, -of_line.T @ residual
-    first, columns, blocks, found = wall_patches.pose_equations(
-        scans, walls, np.ascontiguousarray(scan_of), np.ascontiguousarray(patch_of), sums
-    )
+    scan_of, patch_of = np.ascontiguousarray(scan_of), np.ascontiguousarray(patch_of)
+    own, columns, found = wall_terms.eliminate_lines(scans, walls, scan_of, patch_of, sums)
     poses, lines = slice(0, 3 * scans), slice(3 * scans, None)
     schur = full[poses, lines] @ np.linalg.inv(full[lines, lines])
-    np.testing.assert_allclose(
-        HalfMatrix(first, columns, blocks).whole().toarray(),
-        full[poses, poses] - schur @ full[lines, poses],
-        atol=1e-9,
-    )
+    expected = full[poses, poses] - schur @ full[lines, poses]
+    terms = Walls(own, columns, scan_of, patch_of, walls)
+    np.testing.assert_allclose(terms.blocks().whole().toarray(), expected, atol=1e-9)
     np.testing.assert_allclose(found.ravel(), rhs[poses] - schur @ rhs[lines], atol=1e-9)
+    vectors, product = rng.normal(size=(3 * scans, 5)), np.zeros((3 * scans, 5))
+    terms.add_product(vectors, product)
+    np.testing.assert_allclose(product, expected @ vectors, atol=1e-9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 30), st.integers(1, 12), st.integers(1, 5), st.integers(0, 1000))
+def test_walls_on_two_levels_are_their_blocks_on_two_levels(scans, walls, size, seed):
+    rng = np.random.default_rng(seed)
+    seen = rng.random((scans, walls)) < 0.3
+    seen[0, 0] = True
+    scan_of, patch_of = (np.ascontiguousarray(at, np.int64) for at in np.nonzero(seen))
+    terms = Walls(
+        np.tile(100.0 * np.eye(3), (scans, 1, 1)),
+        rng.normal(size=(len(scan_of), 3, 2)),
+        scan_of,
+        patch_of,
+        walls,
+    )
+    carried, coarse_of = rng.normal(size=(scans, 3, 3)), np.arange(scans) // size
+    within = np.zeros((2, -(-scans // size), 3 * size, 3 * size))
+    found = terms.add_stretches(size, carried, coarse_of, within[0])
+    expected = terms.blocks().add_stretches(size, carried, coarse_of, within[1])
+    np.testing.assert_allclose(found.whole().toarray(), expected.whole().toarray(), atol=1e-9)
+    np.testing.assert_allclose(within[0], within[1], atol=1e-9)
 
 
 @settings(max_examples=25, deadline=None)

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfslam import icp, se2
-from mfslam.adjustment.equations import Equations, HalfMatrix, Solver
+from mfslam.adjustment.equations import Equations, Solver
+from mfslam.adjustment.walls import Walls
 from mfslam.adjustment.wheels import WheelTerms, between_jacobians
-from mfslam.kernels import partners, wall_patches
+from mfslam.kernels import partners, wall_patches, wall_terms
 from mfslam.kernels.poses import transform_points
 from mfslam.types import DeskewedScan, Edge, FloatArray, IntArray
 
@@ -102,7 +103,7 @@ def adjust(
         # wide at first, so that walls that are far from each other still pull
         kernel_m = max(least_kernel_m, gate_m * NARROWING**iteration)
         solver.forget()  # two of these systems need not lie in memory
-        walls, rhs, residuals = _wall_equations(points, poses, kernel_m, noise, unknowns)
+        walls, rhs, residuals = _wall_equations(points, poses, kernel_m, noise)
         equations = Equations(unknowns)
         equations.rhs[:count] += rhs
         wheels.add_to(equations.add, poses, count)
@@ -157,17 +158,17 @@ def _patches(
 
 
 def _wall_equations(
-    points: _Points, poses: FloatArray, kernel_m: float, noise: Noise, unknowns: int
-) -> tuple[HalfMatrix, FloatArray, _Residuals]:
+    points: _Points, poses: FloatArray, kernel_m: float, noise: Noise
+) -> tuple[Walls, FloatArray, _Residuals]:
     """What the walls say of the poses: information, right-hand side (K, 3), and what is left of the points."""
     lines, patch = _patches(points, poses, kernel_m, noise)
     scan_of, patch_of, sums = wall_patches.group_sums(
         points.points_m, points.origins_m, points.normals, points.first, poses, patch, lines,
         noise.range_sigma_m, noise.patch_sigma_m, kernel_m,
     )  # fmt: skip
-    first, columns, blocks, rhs = wall_patches.pose_equations(len(poses), len(lines), scan_of, patch_of, sums)
+    own, columns, rhs = wall_terms.eliminate_lines(len(poses), len(lines), scan_of, patch_of, sums)
     residuals = _Residuals(patch_of, sums[:, 20:24].copy(), len(lines))
-    return HalfMatrix(first, columns, blocks).with_rows(unknowns), rhs, residuals
+    return Walls(own, columns, scan_of, patch_of, len(lines)), rhs, residuals
 
 
 def _add_edges(equations: Equations, edges: Sequence[Edge], poses: FloatArray) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,7 +17,7 @@ RELATIVE_ERROR, MOST_STEPS = (
     1e-3,
     200,
 )  # of conjugate gradients: each iteration of Gauss-Newton leaves more than that
-STRETCH = 6
+STRETCH, MOST_STRETCHES = 6, 1200  # poses in a stretch, on logs that are not too long for it
 
 
 class Equations:
@@ -67,6 +67,20 @@ class HalfMatrix:
     columns: IntArray
     blocks: FloatArray
 
+    def add_product(self, x: FloatArray, out: FloatArray) -> None:
+        """See `Part`."""
+        half_matrix.add_product(self.first, self.columns, self.blocks, x, out)
+
+    def add_stretches(
+        self, size: int, carried: FloatArray, coarse_of: IntArray, within: FloatArray
+    ) -> HalfMatrix:
+        """See `Part`."""
+        return HalfMatrix(
+            *half_matrix.add_stretches(
+                self.first, self.columns, self.blocks, size, carried, coarse_of, within
+            )
+        )
+
     def with_rows(self, count: int) -> HalfMatrix:
         """The matrix with empty rows at its end, ``count`` in all."""
         more = np.full(count + 1 - len(self.first), self.first[-1])
@@ -87,17 +101,31 @@ class HalfMatrix:
         return lower.tocsr() + upper.tocsr()
 
 
+class Part(Protocol):
+    """A symmetric matrix of U rows of 3x3 blocks, of the unknowns in their order."""
+
+    def add_product(self, x: FloatArray, out: FloatArray) -> None:
+        """out += A x of vectors (3 U, R)."""
+
+    def add_stretches(
+        self, size: int, carried: FloatArray, coarse_of: IntArray, within: FloatArray
+    ) -> HalfMatrix:
+        """The matrix of the coarse unknowns that carry these, ``carried`` (U, 3, 3) of number ``coarse_of`` (U,); the diagonal
+        blocks of each stretch of ``size`` unknowns are added to ``within`` (C, 3 size, 3 size)."""
+
+
 class Solver:
-    """Conjugate gradients on two levels: within stretches, and stretches of ``STRETCH`` successive poses that
-    move as one body. The scans fix single poses well; what is slow to converge is how the log bends."""
+    """Conjugate gradients on two levels: within stretches, and stretches of some successive poses that move as one
+    body. The scans fix single poses well; what is slow to converge is how the log bends."""
 
     def __init__(self, world_T_body: FloatArray, others: int) -> None:
         """``world_T_body`` (K, 3): about where the poses stand; ``others``: unknowns after them."""
         from scipy.sparse import csr_matrix
 
         count = len(world_T_body)
-        stretch = np.arange(count) // STRETCH
-        middle = np.minimum(stretch * STRETCH + STRETCH // 2, count - 1)
+        self._size = max(STRETCH, -(-count // MOST_STRETCHES))
+        stretch = np.arange(count) // self._size
+        middle = np.minimum(stretch * self._size + self._size // 2, count - 1)
         # a stretch moves by a perturbation at its middle
         carried = se2.adjoint(se2.between(world_T_body, world_T_body[middle]))
         carried = np.concatenate([carried, np.tile(np.eye(3), (others, 1, 1))])
@@ -109,7 +137,7 @@ class Solver:
         shape = (3 * len(coarse), 3 * int(coarse[-1] + 1))
         self._carry = csr_matrix((carried.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
         self._carry_back = self._carry.T.tocsr()
-        self._parts: list[HalfMatrix] = []
+        self._parts: list[Part] = []
         self._coarse: Any = None
         self._within: FloatArray | None = None
         self._precondition: Callable[[FloatArray], FloatArray] = np.copy
@@ -118,19 +146,17 @@ class Solver:
         """Give the matrix back."""
         self._parts, self._coarse, self._within, self._precondition = [], None, None, np.copy
 
-    def take(self, parts: Sequence[HalfMatrix]) -> None:
+    def take(self, parts: Sequence[Part]) -> None:
         """The next matrix, as the sum of its parts. Raises RuntimeError where it is singular."""
         from scipy.sparse.linalg import splu
 
         self._parts = list(parts)
         unknowns = len(self._coarse_of)
-        count, size = -(-unknowns // STRETCH), 3 * STRETCH
+        count, size = -(-unknowns // self._size), 3 * self._size
         within = np.zeros((count, size, size))
         coarse = [
-            HalfMatrix(
-                *half_matrix.add_stretches(
-                    part.first, part.columns, part.blocks, STRETCH, self._carried, self._coarse_of, within
-                )
+            part.add_stretches(self._size, self._carried, self._coarse_of, within).with_rows(
+                int(self._coarse_of[-1]) + 1
             )
             for part in self._parts
         ]
@@ -155,7 +181,7 @@ class Solver:
         return self._carry, self._coarse
 
     def within_stretches(self) -> FloatArray:
-        """(C, 3 STRETCH, 3 STRETCH) information of the unknowns of each stretch, all others being held; filled up with
+        """(C, 3 size, 3 size) information of the unknowns of each stretch, all others being held; filled up with
         ones at its end."""
         assert self._within is not None
         return self._within.copy()
@@ -163,7 +189,7 @@ class Solver:
     def _times(self, x: FloatArray) -> FloatArray:
         out = np.zeros_like(x)
         for part in self._parts:
-            half_matrix.add_product(part.first, part.columns, part.blocks, x, out)
+            part.add_product(x, out)
         return out
 
     def solve(self, rhs: FloatArray, relative_error: float = RELATIVE_ERROR) -> FloatArray:

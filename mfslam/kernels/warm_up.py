@@ -33,6 +33,7 @@ from mfslam.kernels import (
     smoothing,
     surfels,
     wall_patches,
+    wall_terms,
     walls,
 )
 from mfslam.types import BoolArray, FloatArray
@@ -152,7 +153,13 @@ def _call_adjustment(points: FloatArray, normals: FloatArray, table: cells.CellT
     groups = wall_patches.group_sums(
         points, np.zeros((1, 2)), normals, first, scan, patch, lines, 0.02, 0.005, 0.1
     )
-    wall_patches.pose_equations(1, size, *groups)
+    scan_of, patch_of, sums = groups
+    own, columns, _ = wall_terms.eliminate_lines(1, size, scan_of, patch_of, sums)
+    walls = own, columns, scan_of, patch_of
+    one_pose, coarse_of, room = np.zeros((3, 1)), np.zeros(1, np.int64), np.zeros((2 * size, 1))
+    wall_terms.add_wall_product(*walls, one_pose, room, np.zeros((3, 1)))
+    wall_terms.add_wall_stretches(*walls, size, 1, own, coarse_of, np.zeros((1, 3, 3)))
+    wall_terms.wall_blocks(*walls, size)
 
 
 def _call_graph() -> None:
