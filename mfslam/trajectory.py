@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mfslam import se2
+from mfslam.config import OdometryConfig
 from mfslam.types import BoolArray, FloatArray, IntArray
+
+LEAST_STEP_M, LEAST_STEP_RAD = 0.05, 0.05  # that a match may be off
 
 
 def spread_corrections(
@@ -94,3 +97,11 @@ def twists_over(
     motion = se2.log(se2.between(poses_at(times_s, world_T_body, t0), poses_at(times_s, world_T_body, t1)))
     span = (t1 - t0)[:, None]
     return np.where(span > 1e-3, motion / np.maximum(span, 1e-3), 0.0)
+
+
+def faster_than_driven(times_s: FloatArray, world_T_body: FloatArray, config: OdometryConfig) -> BoolArray:
+    """(S - 1,) steps from pose to pose (S, 3) that no robot drives in the time between (S,): stamps that lie."""
+    moved, dt_s = se2.between(world_T_body[:-1], world_T_body[1:]), np.diff(times_s)
+    too_far = np.hypot(moved[:, 0], moved[:, 1]) > config.max_speed_m_s * dt_s + LEAST_STEP_M
+    turned = np.abs(moved[:, 2]) > config.max_yaw_rate_rad_s * dt_s + LEAST_STEP_RAD
+    return np.asarray(too_far | turned)

@@ -8,7 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mfslam import se2
-from mfslam.trajectory import poses_at, spread_corrections, spread_covariances, twists_over
+from mfslam.config import OdometryConfig
+from mfslam.trajectory import (
+    faster_than_driven,
+    poses_at,
+    spread_corrections,
+    spread_covariances,
+    twists_over,
+)
 
 TWIST = np.array([1.5, 0.0, -0.9])
 
@@ -150,3 +157,10 @@ def test_covariances_between_keyframes_are_carried_and_bridged():
     bridge = 0.25 * 0.75
     assert body[0, 0] == pytest.approx((0.25 + bridge) * 0.01**2)
     assert body[1, 1] == pytest.approx((0.25 + bridge) * 0.02**2 + 0.25 * (behind_m * 0.003) ** 2)
+
+
+def test_steps_that_no_robot_drives_in_their_time_are_told():
+    times_s = np.array([0.0, 0.0, 0.1, 0.2, 0.2])
+    poses = np.array([[0.0, 0, 0], [0.3, 0, 0], [0.6, 0, 0], [0.9, 0, 0], [0.9, 0, 0.2]])
+    told = faster_than_driven(times_s, poses, OdometryConfig())
+    assert told.tolist() == [True, False, False, True]
