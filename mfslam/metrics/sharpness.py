@@ -15,7 +15,7 @@ from mfslam.mapping.surface import Surface
 from mfslam.metrics.crispness import Crispness, crispness
 from mfslam.types import FloatArray, IntArray, Scan
 
-MAX_BEAMS = 200_000  # of more, every second, third, ... scan is taken
+MAX_BEAMS = 400_000  # of more, every second, third, ... scan is taken
 CELL_M = 0.02
 PATCH_M = 0.4  # a piece of wall
 _MIN_HITS, _MIN_SCANS = 30, 5  # of a piece of wall
