@@ -95,19 +95,19 @@ class LoopCloser:
     def _candidates(self, j: int, world_T_body: FloatArray) -> list[Candidate]:
         """Old places that the newest keyframe may see, the nearest first."""
         config = self.config
-        travel = np.array(self.travel_m)
-        old = travel < travel[j] - config.min_travel_m
-        if not old.any():
+        travel = np.frombuffer(self.travel_m)[: j + 1].copy()
+        old = int(np.searchsorted(travel, travel[j] - config.min_travel_m))  # so many are old enough
+        if not old:
             return []
         sigma_m, sigma_rad = self.uncertainty.seen_from(j, world_T_body)
-        distance = np.hypot(*(world_T_body[:, :2] - world_T_body[j, :2]).T)
-        window = config.window_sigmas * sigma_m
-        near = old & (distance < config.reach_m * 0.75 + window)
+        distance = np.hypot(*(world_T_body[:old, :2] - world_T_body[j, :2]).T)
+        window = config.window_sigmas * sigma_m[:old]
+        near = np.flatnonzero(distance < config.reach_m * 0.75 + window)
         # one place per half segment of path: passes by the same spot count apart
-        stretch = (travel / (config.segment_m / 2.0)).astype(np.int64)
+        stretch = (travel[near] / (config.segment_m / 2.0)).astype(np.int64)
         best: dict[int, int] = {}
-        for k in np.flatnonzero(near)[np.argsort(distance[near], kind="stable")]:
-            best.setdefault(int(stretch[k]), int(k))
+        for n in np.argsort(distance[near], kind="stable"):
+            best.setdefault(int(stretch[n]), int(near[n]))
         out = [
             Candidate(
                 self._anchor(k),

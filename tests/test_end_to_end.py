@@ -141,4 +141,4 @@ def test_each_beam_from_its_own_pose_gives_a_crisper_map(shared_data: Path, tmp_
     crisp = {name: mapped(log, tmp_path / name, *extra)["crispness"] for name, extra in settings.items()}
     assert crisp["on"]["cells"] < 0.99 * crisp["off"]["cells"]
     assert crisp["on"]["entropy_nats"] < crisp["off"]["entropy_nats"] - 0.005
-    assert crisp["reversed"]["cells"] > crisp["off"]["cells"]
+    assert crisp["on"]["cells"] < 0.99 * crisp["reversed"]["cells"]

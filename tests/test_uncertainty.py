@@ -133,3 +133,19 @@ def test_a_loop_that_was_taken_out_ties_nothing_any_more():
     loose = uncertainty.seen_from(0, graph.poses())[0][40]
     assert loose == pytest.approx(chain(steps)[1].seen_from(0, graph.poses())[0][40])
     assert tied < 0.5 * loose
+
+
+def test_on_a_long_log_an_older_look_and_what_was_driven_since_still_bound_it(monkeypatch):
+    monkeypatch.setattr("mfslam.uncertainty.FRESH", 50)
+    graph, exact = chain(circle(80), loops=[(0, 79), (5, 45)])
+    poses = graph.poses()
+    reused = chain(circle(80), loops=[(0, 79), (5, 45)])[1]
+    first_m, _ = reused.seen_from(76, poses)
+    monkeypatch.setattr("mfslam.uncertainty.FRESH", 1000)
+    fresh_m, fresh_rad = exact.seen_from(79, poses)
+    monkeypatch.setattr("mfslam.uncertainty.FRESH", 50)
+    sigma_m, sigma_rad = reused.seen_from(79, poses)
+    assert not np.array_equal(sigma_m, fresh_m) and len(sigma_m) == len(first_m) == 81
+    others = np.arange(76)
+    assert np.all(sigma_m[others] >= fresh_m[others]) and np.all(sigma_rad[others] >= fresh_rad[others])
+    assert np.median(sigma_m[others] / fresh_m[others]) < 2.0
