@@ -51,7 +51,7 @@ def main() -> int:
     parser.add_argument(
         "--check",
         action="store_true",
-        help="map only logs with relations; fail when accuracy is more than 10 % worse than docs/benchmarks.md",
+        help="map only logs with relations; fail when accuracy is more than 10 %% worse than docs/benchmarks.md",
     )
     parser.add_argument("--simulated", action="store_true", help="long simulated offices, by laser")
     parser.add_argument("--ablation", action="store_true", help="one part of the method left out at a time")
