@@ -322,7 +322,8 @@ class Slam:
             speeds = trajectory.twists_over(times_s, world_T_reference, times_s, times_s, 2.0 * late_s)
             variances += np.square(late_s * speeds)
         begins = np.array([step.blind_s > 0.0 for step in self.steps], dtype=np.bool_)
-        begins[1:] |= trajectory.faster_than_driven(times_s, world_T_reference, self.config.odometry)
+        if late_s == 0.0:  # in bursts; stamps that go back are held, and uncertain as above
+            begins[1:] |= trajectory.faster_than_driven(times_s, world_T_reference, self.config.odometry)
         return smooth(times_s, world_T_reference, variances, begins)
 
     def _solution(self, edges: list[Edge], localise: bool = False) -> Solution:
