@@ -18,18 +18,17 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from benchmarking.page import as_markdown, replace_section
 
 from drivers.simulator import Motion, drive, laser_model, load_world, parse_world, simulate
 from drivers.simulator.demo import demo_robot
 from drivers.simulator.offices import random_office_text
 from drivers.simulator.simulate import cast_scans
 from drivers.simulator.world import World
-from mfslam.output import write_atomically
 from mfslam.types import MfslamError
 
 LASERS = ("urg-04lx", "fast", "utm-30lx")
 MOST_BEAMS = 1_500_000  # cast in one run: of long drives the beginning
-BEGIN, END = "<!-- speed: begin -->", "<!-- speed: end -->"
 HEAD = [
     "world",
     "walls",
@@ -108,12 +107,7 @@ def main() -> int:
         parser.error(f"--runs {args.runs}: expected at least 1")
     table = rows(args.runs)
     if args.markdown is not None:
-        text = args.markdown.read_text(encoding="utf-8")
-        if BEGIN not in text or END not in text:
-            raise MfslamError(f"{args.markdown}: expected the markers {BEGIN} and {END} around the table")
-        lines = "\n".join(f"| {' | '.join(row)} |" for row in [HEAD, ["---"] * len(HEAD), *table])
-        before, after = text.split(BEGIN)[0], text.split(END)[1]
-        write_atomically(args.markdown, f"{before}{BEGIN}\n{lines}\n{END}{after}".encode())
+        replace_section(args.markdown, "speed", as_markdown([HEAD, *table]))
     return 0
 
 

@@ -18,18 +18,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmarking.page import replace_section
 from scipy.special import chdtri
 
 from drivers.simulator import RobotModel, Simulation, laser_model, load_world, simulate
 from mfslam.calibration.outcome import Calibration
 from mfslam.calibration.passes import calibrate_by_turns
 from mfslam.config import Config, WheelsConfig
-from mfslam.output import write_atomically
 from mfslam.settings import load, preset_path
 from mfslam.slam import Slam, Solution
 from mfslam.types import Scan
 
-BEGIN, END = "<!-- calibration: begin -->", "<!-- calibration: end -->"
 NOMINAL = WheelsConfig(radius_left_m=0.08, radius_right_m=0.08, track_m=0.33, ticks_per_turn=256)
 NOMINAL_MOUNT = (0.12, 0.0, 0.0)
 OFFICE = "office:{seed}:10:2"  # rooms a side, laps: 10 minutes
@@ -140,9 +139,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=50)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--rows", type=Path, default=Path("calibration.jsonl"))
-    parser.add_argument(
-        "--markdown", type=Path, help=f"page whose part between {BEGIN} and {END} is replaced"
-    )
+    parser.add_argument("--markdown", type=Path, help="put the tables into this page, between its markers")
     args = parser.parse_args()
     wanted = range(args.first, args.first + args.seeds)
     done = {row["seed"] for row in rows_in(args.rows)}
@@ -153,10 +150,7 @@ def main() -> None:
     lines = "\n".join(table([row for row in rows_in(args.rows) if row["seed"] in wanted]))
     print(lines)
     if args.markdown is not None:
-        page = args.markdown.read_text()
-        before, rest = page.split(BEGIN)
-        after = rest.split(END)[1]
-        write_atomically(args.markdown, f"{before}{BEGIN}\n{lines}\n{END}{after}".encode())
+        replace_section(args.markdown, "calibration", lines)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from benchmarking.page import as_markdown, replace_section
 from robustness import make_simulation
 from robustness_cases import Case, fast
 from scipy.special import chdtri
@@ -37,7 +38,6 @@ from mfslam.settings import load, preset_path
 from mfslam.slam import Slam
 from mfslam.types import Edge, FloatArray, MfslamError
 
-BEGIN, END = "<!-- consistency: begin -->", "<!-- consistency: end -->"
 GROSS_M, GROSS_RAD = (
     0.3,
     0.1,
@@ -261,19 +261,6 @@ def figures(results: Results) -> dict[str, list[dict[str, object]]]:
     }
 
 
-def write_markdown(page: Path, tables: list[list[list[str]]]) -> None:
-    """Put the tables between the markers of the page."""
-    text = page.read_text(encoding="utf-8")
-    if BEGIN not in text or END not in text:
-        raise MfslamError(f"{page}: expected the markers {BEGIN} and {END} around the tables")
-    parts = [
-        "\n".join(f"| {' | '.join(row)} |" for row in [t[0], ["---"] * len(t[0]), *t[1:]]) for t in tables
-    ]
-    body = "\n\n".join(parts)
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    write_atomically(page, f"{before}{BEGIN}\n{body}\n{END}{after}".encode())
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -304,7 +291,8 @@ def main() -> int:
     if args.json is not None:
         write_atomically(args.json, json.dumps(figures(results), indent=1).encode())
     if args.markdown is not None:
-        write_markdown(args.markdown, [[HEAD, *summary], by_case])
+        tables = "\n\n".join(as_markdown(table) for table in ([HEAD, *summary], by_case))
+        replace_section(args.markdown, "consistency", tables)
     return 0
 
 

@@ -15,8 +15,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from benchmarking.page import as_markdown, replace_section
 from benchmarking.runs import log_name, relations_beside
-from robustness import markdown, table_text, write_markdown
+from robustness import table_text
 
 from drivers.logs import default_presets, open_log
 from mfslam import se2
@@ -28,7 +29,6 @@ from mfslam.types import Edge, FloatArray, IntArray, MfslamError
 
 HEAD = ["log", "m", "loops in use", "satisfied", "refused by the last solve", "taken out while mapping",
         "held against relations", "off, median", "off, largest"]  # fmt: skip
-BEGIN, END = "<!-- loops in use: begin -->", "<!-- loops in use: end -->"
 NEAR_M = 6.0  # of trajectory between a loop and the relation that it is held against
 
 
@@ -94,7 +94,7 @@ def main() -> int:
         print("  ".join(table[-1]), file=sys.stderr, flush=True)
     print(table_text(table, HEAD))
     if args.markdown is not None:
-        write_markdown(args.markdown, markdown(table, HEAD), BEGIN, END)
+        replace_section(args.markdown, "loops in use", as_markdown([HEAD, *table]))
     return 0
 
 

@@ -23,6 +23,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from benchmarking.page import as_markdown, replace_section
 from robustness_cases import Case, all_cases
 
 from drivers.simulator import LaserModel, Simulation, simulate, without_pose
@@ -37,7 +38,6 @@ from mfslam.types import Edge, FloatArray, MfslamError
 FAILED_M = 0.3  # ATE, RMS
 LOST_M, LOST_RAD = 0.3, 0.15  # error of one keyframe step of a front end that is lost
 WRONG_LOOP_M, WRONG_LOOP_RAD = 0.5, 0.15
-BEGIN, END = "<!-- robustness: begin -->", "<!-- robustness: end -->"
 
 
 # --- one run -------------------------------------------------------------------------------------------
@@ -183,20 +183,6 @@ def table_text(table: list[list[str]], head: list[str]) -> str:
     return "\n".join("  ".join(line).rstrip() for line in lines)
 
 
-def markdown(table: list[list[str]], head: list[str]) -> str:
-    lines = [head, ["---"] * len(head), *table]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def write_markdown(page: Path, table: str, begin: str, end: str) -> None:
-    """Put the table between the markers of the page."""
-    text = page.read_text(encoding="utf-8")
-    if begin not in text or end not in text:
-        raise MfslamError(f"{page}: expected the markers {begin} and {end} around the table")
-    before, after = text.split(begin)[0], text.split(end)[1]
-    write_atomically(page, f"{before}{begin}\n{table}\n{end}{after}".encode())
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -233,7 +219,7 @@ def main() -> int:
     table = rows([known[c.name] for c in cases])
     print(table_text(table, HEAD))
     if args.markdown is not None:
-        write_markdown(args.markdown, markdown(table, HEAD), BEGIN, END)
+        replace_section(args.markdown, "robustness", as_markdown([HEAD, *table]))
     return 0
 
 

@@ -21,8 +21,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from benchmarking.page import as_markdown, replace_section
 from benchmarking.runs import relations_beside
-from robustness import markdown, table_text, write_markdown
+from robustness import table_text
 
 from drivers.logs import default_presets, open_log
 from drivers.simulator import laser_model, load_world, simulate, without_pose
@@ -37,7 +38,6 @@ from mfslam.types import Edge, FloatArray, IntArray, Message, MfslamError
 
 HEAD = ["log", "loops", "false", "kind", "error m", "clean m", "final / clean", "online / clean", "false kept",
         "true lost"]  # fmt: skip
-BEGIN, END = "<!-- loops: begin -->", "<!-- loops: end -->"
 GROUP, FAR_M, LEAST_APART = 5, 5.0, 30
 
 
@@ -198,7 +198,7 @@ def main() -> int:
     table = [row for name in args.logs for row in rows_of(recorded(name), shares, args.seeds)]
     print(table_text(table, HEAD))
     if args.markdown is not None:
-        write_markdown(args.markdown, markdown(table, HEAD), BEGIN, END)
+        replace_section(args.markdown, "loops", as_markdown([HEAD, *table]))
     return 0
 
 

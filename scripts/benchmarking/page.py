@@ -40,19 +40,25 @@ def write_markdown(path: Path, tables: list[tuple[str, Table]], command: str, ma
     """Replace the part of ``path`` between the markers of that name, or start the page."""
     opening, closing = markers(marker)
     section = [
-        opening,
         "",
         f"Measured on {datetime.date.today().isoformat()}, {machine()}, with `{command}`.",
         "",
     ]
     for title, table in tables:
         section += [f"## {title}", "", as_markdown(table), ""]
-    text = path.read_text(encoding="utf-8") if path.is_file() else f"# Benchmarks\n\n{opening}\n{closing}\n"
-    before, begin, rest = text.partition(opening)
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"# Benchmarks\n\n{opening}\n{closing}\n", encoding="utf-8")
+    replace_section(path, marker, "\n".join(section[:-1]))
+
+
+def replace_section(page: Path, marker: str, body: str) -> None:
+    """Put the body between the markers of that name. Raises MfslamError where the page has none."""
+    opening, closing = markers(marker)
+    before, begin, rest = page.read_text(encoding="utf-8").partition(opening)
     _, end, after = rest.partition(closing)
     if not begin or not end:
         raise MfslamError(
-            f"{path}: expected the markers {opening} and {closing}; put them where the tables belong"
+            f"{page}: expected the markers {opening} and {closing}; put them where the tables belong"
         )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, (before + "\n".join(section) + closing + after).encode())
+    write_atomically(page, f"{before}{opening}\n{body}\n{closing}{after}".encode())
