@@ -51,14 +51,15 @@ def deskew(scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: 
         ranges_m = (ranges_m + body_twist[0] * times_s).astype(np.float32)
     points, normals, beams = kernels.oriented_points(
         ranges_m, _directions(laser), times_s, laser.body_T_laser, twist, laser.range_min_m, laser.range_max_m,
-        _beam_step_rad(laser), laser.range_sigma_m, spacing_m,
+        beam_step_rad(laser), laser.range_sigma_m, spacing_m,
     )  # fmt: skip
     reference_ns = scan.stamp_ns + round(reference_offset_s(laser) * 1e9)
     return DeskewedScan(reference_ns, points, normals, beams)
 
 
 @lru_cache(maxsize=64)
-def _beam_step_rad(laser: Laser) -> float:
+def beam_step_rad(laser: Laser) -> float:
+    """Angle from beam to beam; 0 of a single one."""
     return float(np.median(np.abs(np.diff(laser.angles_rad)))) if laser.angles_rad.size > 1 else 0.0
 
 

@@ -58,10 +58,8 @@ class MotionSources:
         self._wheel_steps: dict[tuple[int, int], WheelStep] = {}  # between keyframes
         self._told_T_body: FloatArray | None = None  # the wheels' latest pose, as told
         self.counts_wheels = False  # ticks or angles, not poses, tell of the wheels
-        self.told_times_s = array("d")  # of every knot of the track, ...
-        self.told_steps = array(
-            "d"
-        )  # ... with the wheels' step to it as told (3 each), NaN where it is not known
+        # of every knot of the track, with the wheels' step to it as told (3 each), NaN where it is not known
+        self.told_times_s, self.told_steps = array("d"), array("d")
         self.told_with_scans: list[
             FloatArray | None
         ] = []  # the wheels' pose that came with each scan, as told

@@ -44,9 +44,8 @@ class Recorder:
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         self._channels: dict[str, int] = {}
         self._config = config or Config()
-        self._lasers: dict[
-            int, tuple[Laser, Laser]
-        ] = {}  # by id: as it comes, which keeps the id; as it is told
+        # by id: as it comes, which keeps the id; as it is told
+        self._lasers: dict[int, tuple[Laser, Laser]] = {}
         self._converter = RosConverter(
             dict(self._store.types), self.findings, self._config.wheels, self._config.sensor.upside_down
         )

@@ -13,10 +13,8 @@ from mfslam.kernels import half_matrix
 from mfslam.types import BoolArray, FloatArray, IntArray
 
 HELD = 1e10  # information that nails an unknown
-RELATIVE_ERROR, MOST_STEPS = (
-    1e-3,
-    200,
-)  # of conjugate gradients: each iteration of Gauss-Newton leaves more than that
+# of conjugate gradients: each iteration of Gauss-Newton leaves more than that error
+RELATIVE_ERROR, MOST_STEPS = 1e-3, 200
 STRETCH, MOST_STRETCHES = 6, 1200  # poses in a stretch, on logs that are not too long for it
 
 

@@ -8,11 +8,12 @@ import numpy as np
 
 from mfslam import se2
 from mfslam.calibration.record import Record
+from mfslam.calibration.regression import regressed
 from mfslam.types import FloatArray
 
 JOINED = 8  # windows, so that the errors of the poses at their ends matter little
 LEAST, MAX_GAP_S = 20, 0.2
-CAP_SIGMAS, ROUNDS = 3.0, 5
+LEAST_RAD = 1e-5  # spread of the turns' errors
 # Of all turns of the laser, one sigma; see docs/calibration.md
 SYSTEMATIC_TURN = 2e-4
 
@@ -46,14 +47,7 @@ def fit_gyro(record: Record, delay_s: float) -> GyroFit | None:
     # joined windows turn farther than half a turn: the gyro knows how often
     seen = se2.between(record.world_T_laser[a], record.world_T_laser[b])[:, 2]
     seen = told + se2.wrap(seen - told)
-    rows, weights = np.stack([seen, end_s - start_s], axis=1), np.ones(len(told))
-    for _ in range(ROUNDS):
-        bread = np.linalg.inv(rows.T @ (weights[:, None] * rows))
-        found = bread @ (rows.T @ (weights * told))
-        off = told - rows @ found
-        cap = CAP_SIGMAS * max(1.5 * float(np.median(np.abs(off))), 1e-5)
-        weights = np.minimum(1.0, cap / np.maximum(np.abs(off), 1e-12))
-    scores = rows * (weights * off)[:, None]
-    covariance = bread @ (scores.T @ scores) @ bread * len(told) / (len(told) - 2)
+    found, covariance = regressed(np.stack([seen, end_s - start_s], axis=1), told, LEAST_RAD)
+    covariance = covariance * len(told) / (len(told) - 2)
     covariance[0, 0] += SYSTEMATIC_TURN**2
     return GyroFit(float(found[0]), float(found[1]), covariance)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfslam import icp, se2
+from mfslam.calibration.regression import regressed
 from mfslam.deskew import beam_times_s, deskew
 from mfslam.frontend import merged_surface
 from mfslam.slam import Slam, Solution
@@ -20,15 +21,12 @@ from mfslam.types import FloatArray, IntArray, Laser
 
 LEAST_RAD_S, SLOW_SHARE = 0.4, 0.3  # a fast turn; of it, what a surface may be seen with
 MOST_SCANS, LEAST_SCANS = 200, 20
-SURFACES, REACH_M, NEAR = (
-    6,
-    3.0,
-    60,
-)  # keyframes of one surface, how far off, how many of them before and after
+# keyframes of one surface, how far off, how many of them before and after
+SURFACES, REACH_M, NEAR = 6, 3.0, 60
 POSE_SIGMAS = np.array([0.05, 0.05, 0.05])
 CHANGE_S = 0.2  # of the period, one sigma, before anything is known
 USUAL_PERIOD_S = 0.1
-CAP_SIGMAS, ROUNDS = 3.0, 5
+LEAST_RAD = 1e-9  # spread of the distortions' errors
 SYSTEMATIC_SHARE = 0.05  # of the period: surfaces are distorted, too
 
 
@@ -65,7 +63,8 @@ def find_turn(slam: Slam, solution: Solution) -> LaserTurn | None:
             changes.append(change)
     if len(rates) < LEAST_SCANS:
         return None
-    more_s, sigma_s = _regressed(np.array(rates), np.array(changes))
+    slope, variance = regressed(np.array(rates)[:, None], np.array(changes), LEAST_RAD)
+    more_s, sigma_s = float(slope[0]), math.sqrt(float(variance[0, 0]))
     sigma_s = math.hypot(sigma_s, SYSTEMATIC_SHARE * (abs(more_s) + (period_s or USUAL_PERIOD_S)))
     return LaserTurn(period_s, period_s + more_s, sigma_s)
 
@@ -108,15 +107,3 @@ def _slow_keyframes(solution: Solution, n: int) -> IntArray:
     near = near[np.abs(solution.twists[near, 2]) < SLOW_SHARE * abs(solution.twists[n, 2])]
     far_m = np.hypot(*(poses[near, :2] - poses[n, :2]).T)
     return np.asarray(near[np.argsort(far_m, kind="stable")][:SURFACES][: np.count_nonzero(far_m < REACH_M)])
-
-
-def _regressed(rates: FloatArray, changes: FloatArray) -> tuple[float, float]:
-    """Slope of changes (N,) over rates (N,), robustly, and its sigma by how they scatter."""
-    weights = np.ones(len(rates))
-    for _ in range(ROUNDS):
-        bread = 1.0 / float(np.sum(weights * rates**2))
-        slope = bread * float(np.sum(weights * rates * changes))
-        off = changes - slope * rates
-        cap = CAP_SIGMAS * max(1.5 * float(np.median(np.abs(off))), 1e-9)
-        weights = np.minimum(1.0, cap / np.maximum(np.abs(off), 1e-12))
-    return slope, bread * math.sqrt(float(np.sum((weights * rates * off) ** 2)))

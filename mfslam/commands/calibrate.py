@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from drivers.logs import open_log
@@ -12,7 +11,7 @@ from mfslam.calibration.passes import calibrate_by_turns
 from mfslam.calibration.run import LEAST_WINDOWS, together
 from mfslam.calibration.settings import yaml_of
 from mfslam.commands.interrupts import Interrupts
-from mfslam.commands.map_log import finish, read_log
+from mfslam.commands.map_log import mapped
 from mfslam.commands.progress import Progress
 from mfslam.commands.settings import config_for, topics_of
 from mfslam.config import Config
@@ -58,25 +57,24 @@ def run(args: argparse.Namespace) -> int:
 
 def _say(calibration: Calibration) -> None:
     for line in calibration.lines():
-        print(f"  {line}", file=sys.stdout)
+        print(f"  {line}")
 
 
 def _of_log(path: Path, args: argparse.Namespace, progress: Progress, interrupts: Interrupts) -> Calibration:
     why = "the robot hardly moves or turns in it, or its wheels tell of other turns than its laser"
 
-    def mapped(config: Config) -> tuple[Slam, Solution]:
-        slam, findings = Slam(config), Findings()
+    def mapped_with(config: Config) -> tuple[Slam, Solution]:
         with open_log(path, config, topics=topics_of(args)) as log:
-            read_log(log, slam, progress, interrupts, findings)
+            slam, solution = mapped(log, config, progress, interrupts, Findings())
         nonlocal why
         if not slam.motion.odometry.has_moved:
             why = "no wheels in it that turn"
         elif len(slam.scans) < LEAST_WINDOWS:
             why = f"only {len(slam.scans)} scans"
-        return slam, finish(slam, progress, interrupts, findings)
+        return slam, solution
 
     calibration = calibrate_by_turns(
-        mapped, config_for(path, args), lambda: bool(interrupts.count), progress.tell
+        mapped_with, config_for(path, args), lambda: bool(interrupts.count), progress.tell
     )
     if calibration is None:
         raise MfslamError(

@@ -58,10 +58,8 @@ def map_log(
 ) -> Outcome:
     """Feed a whole log to the engine, solve and render. Ctrl-C ends the reading: what came until then is
     mapped; the next one ends the refinement."""
-    slam = Slam(config)
     findings = Findings()
-    read_log(log, slam, progress, interrupts, findings)
-    solution = finish(slam, progress, interrupts, findings)
+    slam, solution = mapped(log, config, progress, interrupts, findings)
     progress.tell("drawing the map ...")
     findings.merge(log.findings)
     return outcome_of(slam, solution, config, log.info, findings, interrupts.count > 0, start_cpu_s)
@@ -73,9 +71,8 @@ def map_calibrated(
 ) -> tuple[Outcome, Config]:  # fmt: skip
     """`map_log`, and once more with the mount and the delay that the first pass found, where these are surely others
     than assumed. The second pass counts unless its map is blunter; with the settings of the pass that counts."""
-    slam, findings, info = Slam(config), Findings(), log.info
-    read_log(log, slam, progress, interrupts, findings)
-    solution = finish(slam, progress, interrupts, findings)
+    findings, info = Findings(), log.info
+    slam, solution = mapped(log, config, progress, interrupts, findings)
     findings.merge(log.findings)
     left_alone = slam.motion.comes_with_scans
     calibration = None if left_alone or interrupts.count else _calibrated(slam, solution)
@@ -121,6 +118,15 @@ def _as_sharp(after: dict[str, float], before: dict[str, float]) -> bool:
     blunter, the calibration was wrong."""
     share = after["cells"] / max(before["cells"], 1)
     return share < BLUNTER_SHARE and after["entropy_bits"] < before["entropy_bits"] + BLUNTER_BITS
+
+
+def mapped(
+    log: Log, config: Config, progress: Progress, interrupts: Interrupts, findings: Findings
+) -> tuple[Slam, Solution]:
+    """The engine fed with a whole log, and its solution."""
+    slam = Slam(config)
+    read_log(log, slam, progress, interrupts, findings)
+    return slam, finish(slam, progress, interrupts, findings)
 
 
 def read_log(log: Log, slam: Slam, progress: Progress, interrupts: Interrupts, findings: Findings) -> None:

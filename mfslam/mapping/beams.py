@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfslam.config import Config
-from mfslam.deskew import reference_offset_s
+from mfslam.deskew import beam_step_rad, beam_times_s
 from mfslam.kernels import raytrace
 from mfslam.types import Float32Array, FloatArray, IntArray, Laser, Scan
 
@@ -64,9 +64,8 @@ class ScanGroup:
         offsets_ns = np.round(laser.offsets_s * 1e9).astype(np.int64)
         # noise of the range, and what is left of the poses' errors
         sigma_m = math.hypot(laser.range_sigma_m, self.config.map.pose_sigma_m)
-        angles = laser.angles_rad
-        step_rad = float(np.median(np.abs(np.diff(angles)))) if angles.size > 1 else 0.0
-        return Beams(self.stamps_ns[:, None] + offsets_ns, starts, ends, kinds, sigma_m, step_rad)
+        stamps_ns = self.stamps_ns[:, None] + offsets_ns
+        return Beams(stamps_ns, starts, ends, kinds, sigma_m, beam_step_rad(laser))
 
     def place_for_map(self, bounds_m: FloatArray) -> Beams:
         """The same, without hits that lie between two surfaces, and cut at ``map.max_range_m``. Widens ``bounds_m`` (4,), x_min,
@@ -97,7 +96,7 @@ def scan_groups(
 def _group(scans: Sequence[Scan], world_T_body: FloatArray, twists: FloatArray, config: Config) -> ScanGroup:
     laser = scans[0].laser
     ranges_m = np.stack([scan.ranges_m for scan in scans])
-    times_s = laser.offsets_s - reference_offset_s(laser)
+    times_s = beam_times_s(laser)
     if config.deskew.mode == "range":
         ranges_m = (ranges_m + twists[:, :1] * times_s).astype(np.float32)  # eqs. 19-24
     told = np.zeros((len(scans), 6))
