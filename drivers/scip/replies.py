@@ -12,13 +12,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from drivers.scip import codec
-from drivers.scip.status import STREAMED
+from drivers.scip.requests import Window
+from drivers.scip.status import OK, STREAMED
 from mfslam.types import IntArray
 
 _ECHO = re.compile(
-    rb"(?:M[DS]\d{13}|G[DS]\d{10}|VV|PP|II|BM|QT|RS|RT|RB|TM[012]|SS\d{6}|CR\d\d|HS\d|SCIP2\.0)(?:;.{0,16})?"
-)
+    rb"(?:M[DS]\d{13}|G[DS]\d{10}|VV|PP|II|BM|QT|RS|RT|RB|TM[012]|SS\d{6}|CR\d\d|HS\d|SCIP2\.0)(?:;.{0,16})?$"
+)  # to the end of its line: before it may be garbage
 _STREAM_ECHO = re.compile(rb"M[DS]\d{13}(?:;.{0,16})?$")
+_NUMBER = re.compile(r"(\d+)(?:$|[\s(\[])")  # a remark may follow; the sum misses a digit's two high bits
 _LONGEST_LINE = 400  # an info line is much shorter; more without a line feed is garbage
 
 
@@ -78,7 +80,7 @@ class ReplyParser:
         if start:
             self.faults["garbage"] += 1
         echo, status_line = lines[start], lines[start + 1]
-        match = _ECHO.search(echo)
+        match = _STREAM_ECHO.search(echo) or _ECHO.search(echo)
         status = codec.without_sum(status_line) if len(status_line) == 3 else None
         if status is None and match is not None and match.group() == b"SCIP2.0" and status_line == b"0":
             status = b"00"  # SCIP 1.1 has neither sums nor two digits
@@ -106,25 +108,28 @@ class DamagedReply(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class RawScan:
-    """A scan as the sensor tells it. ``timestamp_ms``: 24-bit timer at step 0. ``values`` (N,): mm, or a code
-    below DMIN."""
+    """A scan as the sensor tells it. ``timestamp_ms``: 24-bit timer at step 0. ``values`` (N,) of the steps in
+    ``window``: mm, or a code below DMIN."""
 
     timestamp_ms: int
     values: IntArray
+    window: Window
     received_s: float
     bytes_long: int
 
 
-def scan_of(reply: Reply, count: int, width: int) -> RawScan:
-    """The scan of an MD, MS, GD or GS reply of ``count`` values. Raises DamagedReply.
+def scan_of(reply: Reply, asked: Window) -> RawScan:
+    """The scan of an MD, MS, GD or GS reply, of the window that its echo tells. Raises DamagedReply.
 
-    The echo has no sum: a scan whose own sums are right counts although its echo is damaged.
+    The echo has no sum: a scan whose own sums are right counts although its echo is damaged, as one of the
+    window ``asked`` for.
     """
     payload = _payload(reply)
-    if len(payload) != 4 + count * width:
-        raise DamagedReply("cut")
-    timestamp = int(codec.decode(payload[:4], 4)[0])
-    return RawScan(timestamp, codec.decode(payload[4:], width), reply.received_s, reply.bytes_long)
+    for window in (Window.told(reply.echo), asked):
+        if window is not None and len(payload) == 4 + window.count * window.width:
+            timestamp, values = codec.decode(payload[:4], 4), codec.decode(payload[4:], window.width)
+            return RawScan(int(timestamp[0]), values, window, reply.received_s, reply.bytes_long)
+    raise DamagedReply("cut")
 
 
 def _payload(reply: Reply) -> bytes:
@@ -139,9 +144,12 @@ def _payload(reply: Reply) -> bytes:
     return b"".join(parts)
 
 
-def is_streamed(reply: Reply) -> bool:
-    """A scan of a running MD or MS; also one whose echo is damaged."""
-    return reply.status == STREAMED and reply.command in ("MD", "MS", "")
+def is_scan(reply: Reply) -> bool:
+    """A scan of a running MD or MS, or one of GD or GS; also one whose echo is damaged."""
+    if reply.status == STREAMED:
+        return reply.command in ("MD", "MS", "")
+    asked = reply.status == OK and reply.command in ("GD", "GS", "")
+    return asked and len(reply.lines) > 1 and len(reply.lines[0]) == 5  # a timestamp with its sum
 
 
 def timer_of(reply: Reply) -> int:
@@ -183,10 +191,10 @@ def parameters_of(info: dict[str, str]) -> Parameters:
     """Raises ValueError, with the key, for what is missing or cannot be."""
     numbers = {}
     for key in ("DMIN", "DMAX", "ARES", "AMIN", "AMAX", "AFRT", "SCAN"):
-        digits = re.match(r"\d+", info.get(key, ""))
+        digits = _NUMBER.match(info.get(key, ""))
         if digits is None:
             raise ValueError(f"{key} is {info.get(key)!r}")
-        numbers[key] = int(digits.group())
+        numbers[key] = int(digits[1])
     found = Parameters(info.get("MODL", "unknown"), *numbers.values())
     if not (found.first_step < found.last_step and 0 < found.steps_per_turn <= 100_000 and found.rpm > 0):
         raise ValueError("steps or motor speed cannot be")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,6 +11,7 @@ BIT_RATES = (19200, 38400, 57600, 115200, 250000, 500000, 750000)
 UPGRADE, VERSION, PARAMETERS, STATE = b"SCIP2.0\n", b"VV\n", b"PP\n", b"II\n"
 LASER_ON, QUIT, RESET = b"BM\n", b"QT\n", b"RS\n"
 ADJUST_ON, ADJUST_OFF = b"TM0\n", b"TM2\n"
+_MEASURE = re.compile(rb"[MG]([DS])(\d{4})(\d{4})(\d\d)(?:\d{3})?(?:;.*)?$")
 
 
 def adjust_time(string: str = "") -> bytes:
@@ -31,6 +33,15 @@ class Window:
     cluster: int = 1
     skip: int = 0
     short: bool = False
+
+    @staticmethod
+    def told(echo: bytes) -> Window | None:
+        """The steps that the echo of a request for scans tells; None where it tells none."""
+        match = _MEASURE.match(echo)
+        if match is None:
+            return None
+        first, last, cluster = map(int, match.groups()[1:])
+        return Window(first, last, max(1, cluster), short=match[1] == b"S") if first < last else None
 
     @property
     def width(self) -> int:

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from drivers.base import SensorTrouble
-from drivers.clock_sync import ClockSync
+from drivers.clock_sync import ClockSync, Unwrapped
 from drivers.laser_models import LogGeometry, clean_ranges, laser_from
-from drivers.live_sensor import LiveSensor, NoAnswer
+from drivers.live_sensor import LiveSensor, NoAnswer, Stopped
 from drivers.scip import requests
 from drivers.scip.replies import Parameters, RawScan
 from drivers.scip.requests import Window
 from drivers.scip.session import TICK_S, Session
 from drivers.scip.status import range_code
-from drivers.transport import Transport
+from drivers.transport import Transport, Unplugged
 from mfslam.config import Config, ScipConfig
 from mfslam.types import Laser, Message, MfslamError, Scan
 
@@ -89,21 +90,30 @@ def _deg(told: Parameters, step: int) -> float:
 
 
 class UrgSensor(LiveSensor):
-    """Scans of a Hokuyo; ``address`` is a serial device or host:port."""
+    """Scans of a Hokuyo; ``address`` is a serial device or host:port. ``range_codes`` counts error codes by meaning.
+
+    Every scan that comes with right sums is given, also one that comes while the driver and the sensor talk of
+    other things: when the line was opened, when it is left.
+    """
 
     def __init__(self, address: str, config: Config, **line: object) -> None:
         super().__init__(f"urg:{address}", address, config.scip.baud or 115200, **line)  # type: ignore[arg-type]
         self.range_codes: dict[str, int] = {}
         self._config, self._settings = config, config.scip
+        self._known: _Known | None = None
 
     def _talk(self, line: Transport, stopped: Callable[[], bool]) -> Iterator[Message]:
         session = Session(line, self.health.errors, stopped=stopped)
         try:
             yield from self._measure(session)
-        except NoAnswer:
-            raise
-        except SensorTrouble:
-            session.reset()
+        except (Stopped, Unplugged, SensorTrouble) as end:
+            with suppress(Unplugged):
+                if isinstance(end, SensorTrouble) and not isinstance(end, NoAnswer):
+                    session.reset()
+                else:
+                    session.quiet()
+            if self._known is not None:  # from an earlier talk where this one did not come to measure
+                yield from self._scans(session.left(self._known.geometry.window), self._known)
             raise
 
     def _take_leave(self, line: Transport) -> None:
@@ -114,25 +124,30 @@ class UrgSensor(LiveSensor):
         self.baud = session.line.baud() or self.baud  # where it is found first after an unplug
         geometry = Geometry.of(parameters, self._settings)
         self.health.text = "waiting for the first scan"
-        pace = _Pace(60.0 / parameters.rpm)
-        session.clock.least_delay_s = self._least_delay_s(geometry, pace.period_s, session.line.baud())
-        laser = geometry.laser(self._config, pace.period_s)
+        known = _Known(geometry, _Pace(60.0 / parameters.rpm), session.clock, session.timer)
+        known.clock.least_delay_s = self._least_delay_s(geometry, known.pace.period_s, session.line.baud())
+        self._known = known
         source = session.stream if self._settings.mode == "stream" else session.latest
-        for raw in source(geometry.window):
-            device_s = session.device_s(raw)
-            if not session.clock.arrival(device_s, raw.received_s):
+        yield from self._scans(source(geometry.window), known)
+
+    def _scans(self, raws: Iterable[RawScan], known: _Known) -> Iterator[Scan]:
+        for raw in raws:
+            device_s = known.timer(raw.timestamp_ms) * TICK_S
+            if not known.clock.arrival(device_s, raw.received_s):
                 self.health.errors["sensor-clock-set-anew"] += 1
-                session.clock = ClockSync(TICK_S, session.clock.least_delay_s)
-                session.clock.arrival(device_s, raw.received_s)
-            changed = pace.saw(device_s)
-            self._tell_missing(pace, geometry)
-            if changed:
-                laser = geometry.laser(self._config, pace.period_s)
+                known.clock = ClockSync(TICK_S, known.clock.least_delay_s)
+                known.clock.arrival(device_s, raw.received_s)
+            if known.pace.saw(device_s):
+                known.lasers.clear()
+            self._tell_missing(known.pace, known.geometry)
+            geometry, laser = replace(known.geometry, window=raw.window), known.lasers.get(raw.window)
+            if laser is None:
+                laser = known.lasers[raw.window] = geometry.laser(self._config, known.pace.period_s)
             # the timer rounds down
-            sensed_s = session.clock.host_s(device_s + 0.5 * TICK_S)
-            first_s = sensed_s + geometry.first_beam_s(pace.period_s, self._settings)
+            sensed_s = known.clock.host_s(device_s + 0.5 * TICK_S)
+            first_s = sensed_s + geometry.first_beam_s(known.pace.period_s, self._settings)
             self.health.saw(self.clock.stamp_ns(first_s), raw.received_s - first_s)
-            yield Scan(self.clock.stamp_ns(first_s), self._ranges(raw, parameters, laser), laser)
+            yield Scan(self.clock.stamp_ns(first_s), self._ranges(raw, geometry.told, laser), laser)
 
     def _tell_missing(self, pace: _Pace, geometry: Geometry) -> None:
         """Scans that the line has no time for are worth a word; those that were bent have theirs."""
@@ -190,3 +205,15 @@ class _Pace:
 
     def _begin(self, device_s: float) -> None:
         self._start_s, self._turns, self._scans = device_s, 0, 0
+
+
+@dataclass(eq=False)
+class _Known:
+    """What stamps the scans of one session: the sensor's geometry, its mirror's pace and its timer against the host's
+    clock. ``lasers`` of this pace by window."""
+
+    geometry: Geometry
+    pace: _Pace
+    clock: ClockSync
+    timer: Unwrapped
+    lasers: dict[Window, Laser] = field(default_factory=dict)

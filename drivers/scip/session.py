@@ -18,7 +18,7 @@ from drivers.scip.replies import (
     Reply,
     ReplyParser,
     info_of,
-    is_streamed,
+    is_scan,
     parameters_of,
     scan_of,
     timer_of,
@@ -39,9 +39,9 @@ ASK_AGAIN_S = 5e-3
 class Session:
     """One talk over an open line; a new one after every reconnect.
 
-    ``window``: what is measured, None for all steps (set by `begin`). ``clock`` maps the sensor's timer, in
-    seconds, to the transport's clock. ``errors`` counts what goes wrong. Once ``stopped``, every wait ends with
-    Stopped.
+    ``clock`` maps the sensor's timer, in seconds, to the transport's clock. ``errors`` counts what goes wrong.
+    Once ``stopped``, every wait ends with Stopped. Scans that come while something else is talked of (the sensor
+    may still measure for an earlier talk) are kept: `stream` and `latest` give them first, `left` at the end.
     """
 
     line: Transport
@@ -49,10 +49,11 @@ class Session:
     version: dict[str, str] = field(default_factory=dict)
     state: dict[str, str] = field(default_factory=dict)
     clock: ClockSync = field(default_factory=lambda: ClockSync(TICK_S))
-    _timer: Unwrapped = field(default_factory=lambda: Unwrapped(TIMER_BITS))
+    timer: Unwrapped = field(default_factory=lambda: Unwrapped(TIMER_BITS))
     stopped: Callable[[], bool] = lambda: False
     _parser: ReplyParser = field(default_factory=ReplyParser)
     _pending: deque[Reply] = field(default_factory=deque)
+    _kept: deque[Reply] = field(default_factory=deque)  # scans
 
     def __post_init__(self) -> None:
         self._parser.faults = self.errors
@@ -66,8 +67,9 @@ class Session:
             self.line.write(request)
             until_s = self.line.now_s() + timeout_s
             while (reply := self._next(until_s - self.line.now_s())) is not None:
-                if reply.echo == echo and not is_streamed(reply):
+                if reply.echo == echo and reply.status != status.STREAMED:
                     return reply
+                self._keep(reply)
         raise NoAnswer(f"no answer to {echo.decode()}")
 
     def _next(self, timeout_s: float) -> Reply | None:
@@ -83,6 +85,20 @@ class Session:
             if chunk:
                 self._pending.extend(self._parser.feed(chunk, self.line.now_s()))
         return self._pending.popleft()
+
+    def _keep(self, reply: Reply | None) -> None:
+        """Put a scan aside that came while something else was waited for."""
+        if reply is not None and is_scan(reply):
+            self._kept.append(reply)
+
+    def _take_kept(self, window: Window) -> Iterator[RawScan]:
+        while self._kept:
+            yield from self._scan(self._kept.popleft(), window)
+
+    def left(self, window: Window) -> Iterator[RawScan]:
+        """Scans that have come and nobody has taken, when the talk is over."""
+        self._forget()
+        yield from self._take_kept(window)
 
     def _accept(self, request: bytes, also: tuple[str, ...] = (), timeout_s: float = ANSWER_S) -> Reply:
         """Ask, and insist on status 00 (or another good one). Raises SensorTrouble with the status in words."""
@@ -119,11 +135,11 @@ class Session:
         for rate in rates if now is not None else [None]:
             if rate is not None and rate != self.line.baud():
                 self.line.set_baud(rate)
-            self._quiet()
+            self.quiet()
             for wake_up in (b"", requests.UPGRADE):  # SCIP 1.1 knows neither VV nor QT
                 if wake_up:
                     self.line.write(wake_up)
-                    self._next(ANSWER_S / 2)  # 0: now SCIP 2.0; 0E: it was already
+                    self._keep(self._next(ANSWER_S / 2))  # 0: now SCIP 2.0; 0E: it was already
                 try:
                     self.version, wrong = info_of(self.ask(requests.VERSION, ANSWER_S / 2, tries=2))
                 except NoAnswer:
@@ -133,16 +149,22 @@ class Session:
         tried = ", ".join(map(str, rates)) + " baud" if now is not None else "this address"
         raise NoAnswer(f"no SCIP sensor answers (tried {tried})")
 
-    def _quiet(self) -> None:
-        """Stop whatever it is still sending, and throw that away."""
-        self.line.write(b"\n" + requests.QUIT + requests.QUIT)
-        until_s = self.line.now_s() + SILENT_S
-        while self.line.now_s() < until_s and self.line.read(0.05):
-            continue
-        self._forget()
+    def quiet(self) -> None:
+        """Stop whatever it is still sending, and throw that away, but for whole scans."""
+        self._parser.faults = Counter()  # at a wrong bit rate all of it is noise
+        try:
+            self.line.write(b"\n" + requests.QUIT + requests.QUIT)
+            until_s = self.line.now_s() + SILENT_S
+            while self.line.now_s() < until_s and (chunk := self.line.read(0.05)):
+                self._pending.extend(self._parser.feed(chunk, self.line.now_s()))
+        finally:
+            self._parser.faults = self.errors
+            self._forget()
 
     def _forget(self) -> None:
         self._parser.clear()
+        for reply in self._pending:
+            self._keep(reply)
         self._pending.clear()
 
     def _change_baud(self, baud: int) -> None:
@@ -155,10 +177,14 @@ class Session:
         self.version, _ = info_of(self.ask(requests.VERSION))
 
     def _parameters(self) -> Parameters:
-        told = ""
+        """Asked again where a sum is wrong, unless the sensor says the same twice: some send wrong sums."""
+        told, before = "", None
         for _ in range(TRIES):
             info, wrong = info_of(self._accept(requests.PARAMETERS))
             self.errors["info-sum"] += wrong
+            if wrong and info != before:
+                before, told = info, told or "its lines are bent"
+                continue
             try:
                 return parameters_of(info)
             except ValueError as error:
@@ -172,33 +198,37 @@ class Session:
         except SensorTrouble:
             self.errors["no-time-adjust"] += 1
             return
-        baud = self.line.baud()
-        byte_s = 10.0 / baud if baud else 0.0
         for n in range(EXCHANGES):
             request = requests.adjust_time("t" * (n % 3))
             sent_s = self.line.now_s()
             try:
                 reply = self.ask(request, tries=1)
-                device_s = self._timer(timer_of(reply)) * TICK_S
+                device_s = self.timer(timer_of(reply)) * TICK_S
             except (NoAnswer, DamagedReply):
                 self.errors["time-adjust"] += 1
                 continue
             # on a real serial line the bytes themselves take their time; not more than the whole round trip
             trip_s = reply.received_s - sent_s
-            share = min(1.0, trip_s / max(1e-9, byte_s * (len(request) + reply.bytes_long)))
-            to_s, back_s = share * byte_s * len(request), share * byte_s * reply.bytes_long
-            self.clock.exchange(sent_s + to_s, device_s, reply.received_s - back_s)
+            to_s, back_s = self._on_the_line_s(len(request)), self._on_the_line_s(reply.bytes_long)
+            share = min(1.0, trip_s / max(1e-9, to_s + back_s))
+            self.clock.exchange(sent_s + share * to_s, device_s, reply.received_s - share * back_s)
         self._accept(requests.ADJUST_OFF, also=("03", "04"))
+
+    def _on_the_line_s(self, count: int) -> float:
+        """How long so many bytes take; none over USB and TCP."""
+        baud = self.line.baud()
+        return 10.0 * count / baud if baud else 0.0
 
     # --- measuring ----------------------------------------------------------------------------------
 
     def stream(self, window: Window) -> Iterator[RawScan]:
         """Scans of MD or MS as they come. Raises NoAnswer when it falls silent, SensorTrouble when it gives up."""
         self._accept(window.stream())
+        yield from self._take_kept(window)
         patience_s = FIRST_SCAN_S
         while (reply := self._next(patience_s)) is not None:
             patience_s = SILENT_S * (1 + window.skip)
-            if is_streamed(reply):
+            if is_scan(reply):
                 yield from self._scan(reply, window)
             elif reply.command in ("MD", "MS") and reply.status != status.OK:
                 self.errors[f"status-{reply.status}"] += 1
@@ -210,42 +240,39 @@ class Session:
     def latest(self, window: Window) -> Iterator[RawScan]:
         """Scans of GD or GS, each asked for: for lines too slow for a stream. Raises as `stream` does."""
         self._laser_on()
-        last_ms = -1
+        last_ms, patience_s = -1, FIRST_SCAN_S
         while True:
-            reply = self.ask(window.latest(), FIRST_SCAN_S, tries=2)
+            reply = self.ask(window.latest(), patience_s, tries=2)
+            patience_s = SILENT_S + self._on_the_line_s(window.reply_bytes)
             if reply.status == status.LASER_OFF:
                 self.errors["laser-off"] += 1
                 self._laser_on()
             elif status.is_hardware_trouble(reply.status):
                 self.errors[f"status-{reply.status}"] += 1
                 raise SensorTrouble(f"status {reply.status}: {status.meaning('GD', reply.status)}")
-            elif reply.status == status.OK:
-                for scan in self._scan(reply, window):
-                    if scan.timestamp_ms != last_ms:
-                        yield scan
-                    else:
-                        self._next(ASK_AGAIN_S)  # the mirror has not come round yet
-                    last_ms = scan.timestamp_ms
-            else:
+            elif reply.status != status.OK:
                 self.errors[f"status-{reply.status}"] += 1
+            self._keep(reply)
+            for scan in self._take_kept(window):
+                if scan.timestamp_ms != last_ms:
+                    yield scan
+                else:
+                    self._keep(self._next(ASK_AGAIN_S))  # the mirror has not come round yet
+                last_ms = scan.timestamp_ms
 
     def _laser_on(self) -> None:
         self._accept(requests.LASER_ON, also=(status.ALREADY_ON,))
 
     def _scan(self, reply: Reply, window: Window) -> Iterator[RawScan]:
         try:
-            yield scan_of(reply, window.count, window.width)
+            yield scan_of(reply, window)
         except DamagedReply as error:
             self.errors[error.fault] += 1
-
-    def device_s(self, scan: RawScan) -> float:
-        """The sensor's timer at step 0 of a scan, s, unwrapped."""
-        return self._timer(scan.timestamp_ms) * TICK_S
 
     # --- ending -------------------------------------------------------------------------------------
 
     def reset(self) -> None:
         """RS: laser off, timer and settings as after power on."""
-        self._quiet()
+        self.quiet()
         self.line.write(requests.RESET)
-        self._next(ANSWER_S)
+        self._keep(self._next(ANSWER_S))

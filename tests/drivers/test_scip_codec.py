@@ -15,14 +15,14 @@ from drivers.scip.replies import (
     DamagedReply,
     ReplyParser,
     info_of,
-    is_streamed,
+    is_scan,
     parameters_of,
     scan_of,
 )
 from drivers.scip.requests import Window
 
 WIDTHS = st.sampled_from([2, 3, 4])
-ECHO = b"MD0044072501000"
+ECHO, WINDOW = b"MD0044072501000", Window(44, 725)
 
 
 def streamed(values: np.ndarray, timer_ms: int = 4711, width: int = 3) -> bytes:
@@ -80,8 +80,8 @@ def test_info_lines_leave_the_semicolon_out_of_the_sum() -> None:
 )
 def test_a_scan_survives_any_cutting_into_pieces(width: int, values: list[int], pieces: list[int]) -> None:
     replies, faults = parse(streamed(np.array(values), width=width), pieces)
-    assert [is_streamed(r) for r in replies] == [True] and not faults
-    scan = scan_of(replies[0], len(values), width)
+    assert [is_scan(r) for r in replies] == [True] and not faults
+    scan = scan_of(replies[0], Window(1, len(values), short=width == 2))
     assert scan.values.tolist() == values and scan.timestamp_ms == 4711
 
 
@@ -91,7 +91,13 @@ def test_a_scan_after_garbage_and_a_cut_one_is_found_whole(noise: bytes, cut: in
     block = streamed(values)
     noise = noise.replace(b"M", b"m")  # else noise may be a reply
     replies, _ = parse(block[:cut] + noise + b"\n" + block)
-    assert scan_of(replies[-1], 682, 3).values.tolist() == values.tolist()
+    assert scan_of(replies[-1], WINDOW).values.tolist() == values.tolist()
+
+
+@pytest.mark.parametrize("noise", [b"VV", b"\x99PP;\x01", b"12GD0044072501", b"MD0044072501000;"])
+def test_garbage_that_holds_an_echo_costs_the_scan_after_it_nothing(noise: bytes) -> None:
+    replies, _ = parse(noise + streamed(np.arange(682)))
+    assert is_scan(replies[-1]) and scan_of(replies[-1], WINDOW).values.size == 682
 
 
 @given(position=st.integers(0, 2136), bit=st.integers(0, 7))
@@ -102,9 +108,9 @@ def test_a_flipped_bit_never_gives_a_wrong_scan(position: int, bit: int) -> None
     replies, faults = parse(bytes(block) + streamed(values, 4811))
     scans = []
     for reply in replies:
-        if is_streamed(reply):
+        if is_scan(reply):
             try:
-                scans.append(scan_of(reply, 682, 3))
+                scans.append(scan_of(reply, WINDOW))
             except DamagedReply as error:
                 faults[error.fault] += 1
     assert all(scan.values.tolist() == values.tolist() for scan in scans)
@@ -126,7 +132,7 @@ def test_captured_scans(shared_data: Path) -> None:
         data = (shared_data / "scip" / f"gd0044072501_capture_{name}.bin").read_bytes()
         replies, faults = parse(data, [100, 1])
         assert not faults and [(r.command, r.status) for r in replies] == [("GD", "00")]
-        scan = scan_of(replies[0], Window(44, 725).count, 3)
+        scan = scan_of(replies[0], WINDOW)
         ranges = scan.values[scan.values >= 20]
         assert len(scan.values) == 682 and len(ranges) > 300 and ranges.max() <= 5600
 

@@ -44,9 +44,12 @@ class VirtualLine:
         return self
 
     def pause(self, seconds: float) -> None:
+        heard = len(self.wire.carried)
         for _ in range(round(seconds / STEP_S)):  # nobody listens
             self.time_s += STEP_S
             self.wire.to_host(self.time_s, self._baud)
+        for block in self.wire.carried[heard:]:
+            block.intact = False
 
     def read(self, timeout_s: float) -> bytes:
         for _ in range(max(1, math.ceil(timeout_s / STEP_S))):
