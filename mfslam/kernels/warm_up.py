@@ -3,58 +3,83 @@
 from __future__ import annotations
 
 import gc
+import os
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any
 
-import numpy as np
 from numba.core.caching import FunctionCache
 
 from mfslam import kernels
-from mfslam.kernels import (
-    align,
-    align_moving,
-    block_cholesky,
-    cells,
-    correlate,
-    evidence,
-    glass,
-    graph_terms,
-    half_matrix,
-    matrices,
-    partners,
-    patches,
-    poses,
-    raytrace,
-    reach,
-    scans,
-    smoothing,
-    surfels,
-    wall_patches,
-    wall_terms,
-    walls,
-)
-from mfslam.types import BoolArray, FloatArray
+from mfslam.kernels.samples import SAMPLES
+
+_MOST_PROCESSES = 4  # more would compile the same helpers again and again
 
 
 def compile_once(tell: Callable[[str], None]) -> float:
-    """Make sure that compiled kernels lie in the cache; returns the CPU seconds it took (0: they did)."""
+    """Make sure that compiled kernels lie in the cache; returns the CPU seconds it took this process (0: they did).
+
+    Every core takes a share of them, in a process of its own: numba compiles one function at a time.
+    """
     if all(_is_cached(kernel) for kernel in _kernels()):
         return 0.0
-    tell("first run: compiling kernels (once per installation, some 25 s) ...")
-    start_s = time.process_time()
+    tell("first run: compiling kernels (once per installation, some 15 to 25 s) ...")
+    start_s, start = time.process_time(), os.times()
+    processes = min(_MOST_PROCESSES, _cores())
+    others = [_compile_apart(SAMPLES[share::processes]) for share in range(1, processes)]
+    try:
+        _call(SAMPLES[::processes])
+        for other in others:
+            other.wait()
+    finally:
+        for other in others:
+            other.kill()
+    _call(SAMPLES)  # loads what the others compiled, and compiles what they did not
+    end = os.times()
+    cpu_s = sum(end[:4]) - sum(start[:4])
+    tell(
+        f"kernels compiled: {end.elapsed - start.elapsed:.0f} s, {cpu_s:.0f} CPU s; later runs load them at once"
+    )
+    return time.process_time() - start_s
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on macOS and Windows
+        return os.cpu_count() or 1
+
+
+def call_all() -> None:
+    """Call every kernel."""
+    _call(SAMPLES)
+
+
+def _call(samples: Sequence[Callable[[], None]]) -> None:
     collects = gc.isenabled()
     gc.disable()  # numba makes millions of small objects and keeps most: looking them through is a fifth of its time
     try:
-        call_all()
+        for sample in samples:
+            sample()
     finally:
         if collects:
             gc.enable()
-    cpu_s = time.process_time() - start_s
-    tell(f"kernels compiled in {cpu_s:.0f} CPU s; later runs load them at once")
-    return cpu_s
+
+
+def _compile_apart(samples: Sequence[Callable[[], None]]) -> subprocess.Popen[bytes]:
+    """A process that calls these and leaves their kernels in the cache. If it fails, nothing is lost but time."""
+    names = [sample.__name__ for sample in samples]
+    return subprocess.Popen(
+        [sys.executable, "-m", __name__, *names],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
 
 
 def _kernels() -> list[Any]:
@@ -77,176 +102,5 @@ def _is_cached(kernel: Any) -> bool:
         return False
 
 
-def call_all() -> None:
-    """Call every kernel with small arguments of the types that the engine uses."""
-    points, normals, table = _prepare_scan()
-    _call_poses(points, normals)
-    _call_registration(points, normals, table)
-    _call_loop_closure(points)
-    _call_adjustment(points, normals, table)
-    _call_graph()
-    _call_smoothing()
-    _call_mapping()
-
-
-def _prepare_scan() -> tuple[FloatArray, FloatArray, cells.CellTable]:
-    angles, still = np.linspace(-1.5, 1.5, 40), np.zeros(3)
-    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    points, normals, _ = scans.oriented_points(
-        np.full(40, 2.0, np.float32), directions, np.zeros(40), still, np.ones(3), 0.1, 10.0, 0.08, 0.01, 0.05
-    )
-    table = cells.build_cells(np.hstack([points, normals]), 0.25)
-    cells.smooth_surface(table, 0.25, 0.1, 0.05)
-    return points, normals, table
-
-
-def _call_poses(points: FloatArray, normals: FloatArray) -> None:
-    pose = poses.compose(np.zeros(3), poses.between(np.zeros(3), np.ones(3)))
-    poses.advance(poses.interpolate(np.zeros(3), pose, 0.5), poses.log(pose), 0.1)
-    poses.transform_points(pose, points, normals, np.empty((len(points), 4)))
-    information = matrices.drop_open_direction(matrices.add_error(np.eye(3), 0.1, 0.1), 0.01)
-    matrices.open_direction(information, 0.01)
-    matrices.upper_root(information, 1e-6, 1e-9)
-
-
-def _call_registration(points: FloatArray, normals: FloatArray, table: cells.CellTable) -> None:
-    pose = np.zeros(3)
-    align.point_to_line(table, 0.25, points, normals, pose, pose, np.eye(3), 0.02, 3.0, 0.5, 0.1, 3, 0.01)
-    align.point_to_point(table, table, 0.25, pose, 0.5, 0.1, 3, True)
-    align.rigid_fit(points, points)
-    align_moving.point_to_line_moving(
-        table,
-        0.25,
-        points,
-        normals,
-        np.zeros(len(points)),
-        pose,
-        np.zeros(6),
-        np.eye(6),
-        0.02,
-        3.0,
-        0.5,
-        0.1,
-        3,
-        0.01,
-    )
-
-
-def _call_loop_closure(points: FloatArray) -> None:
-    corner, pose = np.array([-3.0, -3.0]), np.zeros(3)
-    levels = correlate.pyramid(correlate.likelihood_grid(points, corner, 60, 60, 0.1, 0.1), 3)
-    correlate.branch_and_bound(levels, corner, 0.1, points, pose, np.zeros(1), 0.3, 0.1, np.zeros((0, 4)))
-    grid = evidence.evidence_grid(np.zeros((1, 2)), np.array([0, len(points)]), points, corner, 60, 60, 0.1)
-    evidence.agreement(grid, corner, 0.1, pose, points)
-    ends = np.array([0, 1])
-    reach.relative_sigmas(0, np.zeros((2, 3)), ends, np.array([-1, -1]), ends, np.ones((1, 2)))
-
-
-def _call_adjustment(points: FloatArray, normals: FloatArray, table: cells.CellTable) -> None:
-    count, scan = len(points), np.zeros((1, 3))
-    first = np.array([0, count])
-    patch, seen = partners.nothing_known(count)
-    seeds = cells.build_cells(wall_patches.seed_patches(table, 0.25, 0.25), 0.25)
-    partners.find_partners(*seeds, 0.25, np.hstack([points, normals]), 0.25, 0.7, patch, seen)
-    size = len(seeds[1])
-    lines = wall_patches.fit_patches(size, points, first, scan, patch, np.empty((0, 5)), 0.1)
-    groups = wall_patches.group_sums(
-        points, np.zeros((1, 2)), normals, first, scan, patch, lines, 0.02, 0.005, 0.1
-    )
-    scan_of, patch_of, sums = groups
-    own, columns, _ = wall_terms.eliminate_lines(1, size, scan_of, patch_of, sums)
-    walls = own, columns, scan_of, patch_of
-    one_pose, coarse_of, room = np.zeros((3, 1)), np.zeros(1, np.int64), np.zeros((2 * size, 1))
-    wall_terms.add_wall_product(*walls, one_pose, room, np.zeros((3, 1)))
-    wall_terms.add_wall_stretches(*walls, size, 1, own, coarse_of, np.zeros((1, 3, 3)))
-    wall_terms.wall_blocks(*walls, size)
-
-
-def _call_graph() -> None:
-    first, rows = block_cholesky.factor_pattern(np.array([0, 0, 1]), np.array([0]))
-    diagonal, below = np.tile(2.0 * np.eye(3), (2, 1, 1)), -np.eye(3)[None]
-    place, one, rhs = np.array([-1, 0, 1]), np.zeros(1, np.int64), np.zeros((2, 3))
-    edge = np.array([[1, 2]]), np.zeros((1, 3)), np.eye(3)[None]
-    graph_terms.edge_chi2(*edge, np.zeros((3, 3)))
-    graph_terms.normal_equations(*edge, np.ones(1), np.zeros((3, 3)), place, one, 1.0, diagonal, below, rhs)
-    block_cholesky.factorise(first, rows, diagonal, below)
-    lower = np.array([0, 1]), one, diagonal[:1]
-    half_matrix.add_product(*lower, np.zeros((3, 1)), np.zeros((3, 1)))
-    half_matrix.add_stretches(*lower, 1, diagonal[:1], one, np.zeros((1, 3, 3)))
-    block_cholesky.substitute(first, rows, diagonal, below, rhs)
-    graph_terms.moved_poses(np.zeros((3, 3)), place, rhs)
-    path = block_cholesky.path_columns(first, rows, below, one, np.eye(3)[None])
-    block_cholesky.path_product(*path, *path, diagonal)
-    block_cholesky.invert_selected(first, rows, diagonal, below)
-
-
-def _call_smoothing() -> None:
-    times, variances, begins = np.arange(3.0), np.ones(3), np.zeros(3, np.bool_)
-    states, covariances = np.empty((3, 3)), np.empty((3, 3, 3))
-    smoothing.run_forward(times, times, variances, begins, 1.0, states, covariances)
-    smoothing.run_back(times, begins, 1.0, states, covariances)
-
-
-def _call_mapping() -> None:
-    shape, angles, times = (2, 40), np.linspace(-1.5, 1.5, 40), np.zeros(40)
-    ranges, poses_in = np.full(shape, 2.0, np.float32), np.zeros((2, 3))
-    starts, ends, stops = np.empty((*shape, 2)), np.empty((*shape, 2)), np.empty((*shape, 2))
-    kinds, facings = np.empty(shape, np.int8), np.empty(shape, np.int8)
-    raytrace.place_beams(
-        ranges, poses_in, np.ones((2, 6)), angles, times, np.zeros(3), (0.1, 10.0, 0.0), starts, ends, kinds
-    )
-    raytrace.drop_mixed(ranges, starts, ends, kinds, 0.02, 0.08)
-    raytrace.limit_range(starts, ends, kinds, 10.0, np.zeros(4))
-    no_keys, no_sums = np.full(64, surfels.EMPTY, np.int64), np.zeros((64, 5))
-    keys, sums, _ = surfels.add_hits(no_keys, no_sums, 0, starts, ends, kinds, 0.08, 0.02, 0.06, facings)
-    surfels.patch_place(surfels.find_patch(keys, 0, 0, 0))
-    lines = surfels.fit_surfaces(keys, sums, 0.06, 0.02, 1)
-    surfels.adjust_ends(keys, lines, 0.06, 0.02, facings, starts, kinds, ends)
-    raytrace.stop_short(starts, ends, kinds, 0.02, stops)
-    origin = np.array([-4.0, -4.0])
-    hits, passes, near = (np.zeros((80, 80), np.uint16) for _ in range(3))
-    raytrace.trace_beams(
-        starts.reshape(-1, 2),
-        stops.reshape(-1, 2),
-        ends.reshape(-1, 2),
-        kinds.ravel(),
-        origin,
-        0.1,
-        hits,
-        passes,
-        near,
-    )
-    raytrace.bridge_hits(ends, kinds, facings, surfels.SECTORS, origin, 0.1, 0.2, hits)
-    counts = np.zeros(len(lines), np.int64)
-    glass.count_square(
-        lines,
-        ranges,
-        poses_in,
-        np.zeros((2, 6)),
-        angles,
-        times,
-        np.zeros(3),
-        (0.1, 10.0, 8.0),
-        0.02,
-        counts,
-        counts.copy(),
-    )
-    glass.share_behind(keys, sums, lines, 0.06, 0.02)
-    occupied = hits > 0
-    glass.draw_lines(
-        lines[glass.keep_runs(keys, lines, counts > 0, 0.06, 0.02, 1)], 0.03, origin, 0.1, occupied
-    )
-    _call_judging(occupied, hits)
-
-
-def _call_judging(occupied: BoolArray, hits: raytrace.CountArray) -> None:
-    found = np.ascontiguousarray(np.argwhere(occupied))
-    density = np.zeros(hits.shape, np.float32)
-    walls.smooth_hits(hits, found, np.ones(3), 0, density)
-    is_flank, _ = walls.find_flanks(density, 0, found, 1, 2, 1)
-    flanks = np.concatenate([found[is_flank]])
-    walls.thin_walls(occupied, flanks)
-    walls.drop_islands(occupied.view(np.uint8), flanks)
-    free = ~occupied
-    patches.drop_crumbs(free, 1, 1, found)
-    patches.fill_slits(free.view(np.int8), 2, 1)
+if __name__ == "__main__":
+    _call([sample for sample in SAMPLES if sample.__name__ in sys.argv[1:]])
