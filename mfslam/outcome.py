@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import gc
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,9 +45,10 @@ def outcome_of(
     """
     slam.release()
     give_memory_back()
-    with slam.clock.time("map"):
-        sharpness = compare_deskewing(slam, solution, config)
+    with slam.clock.time("map"), ThreadPoolExecutor(1) as thread:
+        comparison = thread.submit(compare_deskewing, slam, solution, config)
         grid, points = render_map(slam.scans, solution.world_T_reference, solution.twists, config, findings)
+        sharpness = comparison.result()
     if not len(points.points_m):
         raise MfslamError(
             f"{info.path}: none of its {len(slam.scans)} scans has a usable range: nothing to map"

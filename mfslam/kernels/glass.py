@@ -47,7 +47,7 @@ def count_square(
             square = dx * dx + dy * dy
             across = -(lines[q, 2] * dx + lines[q, 3] * dy)
             # a robot moves little during a scan: a first look at where it was in the middle of it
-            if square > far * far or across < 0.94 * math.sqrt(square):
+            if square > far * far or across < 0.0 or across * across < 0.88 * square:
                 continue
             j = _beam_towards(math.atan2(dy, dx) - heading, angles, step)
             if j < 0:

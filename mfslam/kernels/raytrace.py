@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mfslam.kernels.compiling import helper, kernel
+from mfslam.kernels.poses import chord_and_cosine
 from mfslam.types import Float32Array, FloatArray, Int8Array
 
 CountArray = npt.NDArray[np.uint16]
@@ -58,8 +59,8 @@ def place_beams(
                 ahead = 0.5 * times[j]
                 vx, vy = twists[k, 0] + ahead * twists[k, 3], twists[k, 1] + ahead * twists[k, 4]
                 half = ahead * (twists[k, 2] + ahead * twists[k, 5])
-                turn_c, turn_s = math.cos(half), math.sin(half)
-                chord = times[j] * (turn_s / half if abs(half) > 1e-9 else 1.0)
+                chord, turn_c = chord_and_cosine(half)
+                turn_s, chord = half * chord, times[j] * chord
                 c, s = cos_yaw * turn_c - sin_yaw * turn_s, sin_yaw * turn_c + cos_yaw * turn_s
                 x, y = poses[k, 0] + chord * (c * vx - s * vy), poses[k, 1] + chord * (s * vx + c * vy)
                 c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
@@ -178,9 +179,9 @@ def _sine_to_surface(
         if kinds[q] != HIT:
             continue
         tx, ty = ends[q, 0] - ends[j, 0], ends[q, 1] - ends[j, 1]
-        spacing = math.sqrt(tx * tx + ty * ty)
-        if spacing > 5.0 * sigma:
-            sine: float = abs(dx * ty - dy * tx) / (length * spacing)
+        square = tx * tx + ty * ty
+        if square > 25.0 * sigma * sigma:
+            sine: float = abs(dx * ty - dy * tx) / (length * math.sqrt(square))
             return sine
     return -1.0
 

@@ -19,6 +19,7 @@ PatchTable = tuple[IntArray, FloatArray]
 
 EMPTY = np.iinfo(np.int64).min
 SECTORS = 8  # of the direction that a patch faces
+_HALF_SECTOR = math.tan(math.pi / SECTORS)
 NO_FACING = -1
 SAME_WAY = 0.7  # cosine between normals of one surface
 SURE_HITS = 10.0  # around a patch: more than chance brings together
@@ -78,7 +79,14 @@ def add_hits(
 
 @helper
 def _sector(nx: float, ny: float) -> int:
-    return round(math.atan2(ny, nx) * SECTORS / (2.0 * math.pi)) % SECTORS
+    across, along = abs(ny), abs(nx)
+    if across < _HALF_SECTOR * along:
+        return 0 if nx > 0.0 else 4
+    if along < _HALF_SECTOR * across:
+        return 2 if ny > 0.0 else 6
+    if ny > 0.0:
+        return 1 if nx > 0.0 else 3
+    return 7 if nx > 0.0 else 5
 
 
 @kernel
@@ -254,12 +262,14 @@ def _towards_line(
                 nx, ny = lines[slot, 2], lines[slot, 3]
                 rx, ry = lines[slot, 0] - x, lines[slot, 1] - y
                 off, along = nx * rx + ny * ry, nx * ry - ny * rx
-                told = lines[slot, 4] * math.exp(-0.5 * (off / sigma) ** 2)
                 if (
-                    told > best
-                    and abs(off) <= MOST_SIGMAS * sigma
-                    and abs(along) <= cell
-                    and nx * dx + ny * dy < 0.0
+                    lines[slot, 4] <= best
+                    or abs(off) > MOST_SIGMAS * sigma
+                    or abs(along) > cell
+                    or nx * dx + ny * dy >= 0.0
                 ):
+                    continue
+                told = lines[slot, 4] * math.exp(-0.5 * (off / sigma) ** 2)
+                if told > best:
                     best, shift_x, shift_y = told, off * nx, off * ny
     return shift_x, shift_y, best

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,6 +17,9 @@ from mfslam.kernels import raytrace
 from mfslam.types import Float32Array, FloatArray, IntArray, Laser, Scan
 
 _CHUNK_BEAMS = 100_000
+
+Given = TypeVar("Given")
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +82,18 @@ class ScanGroup:
         )
         raytrace.limit_range(beams.starts_m, beams.ends_m, beams.kinds, self.config.map.max_range_m, bounds_m)
         return beams
+
+
+def ahead(given: Iterable[Given], make: Callable[[Given], Made], threads: int = 1) -> Iterator[Made]:
+    """What ``make`` makes of each, in order. Threads work on the next ones while the caller uses the last: kernels let them."""
+    coming: deque[Future[Made]] = deque()
+    with ThreadPoolExecutor(threads) as pool:
+        for each in given:
+            coming.append(pool.submit(make, each))
+            if len(coming) > threads:
+                yield coming.popleft().result()
+        while coming:
+            yield coming.popleft().result()
 
 
 def scan_groups(

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from mfslam.kernels import glass
-from mfslam.mapping.beams import ScanGroup
+from mfslam.mapping.beams import ScanGroup, ahead
 from mfslam.mapping.surface import PATCH_M, Surface
 from mfslam.types import BoolArray, FloatArray, IntArray
 
@@ -58,21 +58,26 @@ def _count_square(
 ) -> tuple[IntArray, IntArray]:
     """Scans that met each patch squarely, and scans that passed it so."""
     met, passed = np.zeros(len(lines), np.int64), np.zeros(len(lines), np.int64)
-    for group in groups:
+
+    def count(group: ScanGroup) -> tuple[IntArray, IntArray, IntArray]:
+        """Patches near the group, and how many of its scans met and passed each."""
         low, high = group.world_T_body[:, :2].min(axis=0), group.world_T_body[:, :2].max(axis=0)
         near = np.all((lines[:, :2] > low - _FAR_M) & (lines[:, :2] < high + _FAR_M), axis=1)
-        index = np.flatnonzero(near)
         laser = group.laser
-        if not len(index) or laser.angles_rad.size < 2:
-            continue
+        index = np.flatnonzero(near) if laser.angles_rad.size > 1 else np.zeros(0, np.int64)
+        more_met, more_passed = np.zeros(len(index), np.int64), np.zeros(len(index), np.int64)
+        if not len(index):
+            return index, more_met, more_passed
         order = np.argsort(laser.angles_rad, kind="stable")
         in_order = bool(np.all(order[1:] > order[:-1]))
-        more_met, more_passed = np.zeros(len(index), np.int64), np.zeros(len(index), np.int64)
         glass.count_square(
             lines[index], group.ranges_m if in_order else np.ascontiguousarray(group.ranges_m[:, order]),
             group.world_T_body, group.twists, laser.angles_rad[order], group.times_s[order], laser.body_T_laser,
             (laser.range_min_m, laser.range_max_m, _FAR_M), sigma_m, more_met, more_passed,
         )  # fmt: skip
+        return index, more_met, more_passed
+
+    for index, more_met, more_passed in ahead(groups, count, threads=2):
         met[index] += more_met
         passed[index] += more_passed
     return met, passed

@@ -9,7 +9,7 @@ import numpy as np
 
 from mfslam.config import Config
 from mfslam.kernels import glass, raytrace, surfels
-from mfslam.mapping.beams import Beams, ScanGroup, scan_groups
+from mfslam.mapping.beams import Beams, ScanGroup, ahead, scan_groups
 from mfslam.mapping.cells import CellCounts, find_occupied, frame_of, judge_cells
 from mfslam.mapping.panes import find_panes
 from mfslam.mapping.surface import PATCH_M, Surface
@@ -66,8 +66,8 @@ def _fit_surface(groups: Iterator[ScanGroup]) -> tuple[Surface, FloatArray]:
     """The surface that all scans agree on, and bounds (4,) of all that will be drawn: x_min, y_min, x_max, y_max."""
     surface = Surface()
     bounds_m = np.array([np.inf, np.inf, -np.inf, -np.inf])
-    for group in groups:
-        surface.add(group.place_for_map(bounds_m))
+    for beams in ahead(groups, lambda group: group.place_for_map(bounds_m)):
+        surface.add(beams)
     surface.fit()
     return surface, bounds_m + surface.most_moved_m * np.array([-1.0, -1.0, 1.0, 1.0])
 
@@ -80,12 +80,19 @@ def _count_beams(
     resolution_m: float,
 ) -> IntArray:
     """Add all beams to the counts; row and column (K, 2) of the cells in which the laser stood."""
-    stood = [np.zeros((0, 2), np.int64)]
-    for n, group in enumerate(groups):
+
+    def on_surface(numbered: tuple[int, ScanGroup]) -> tuple[Beams, FloatArray, Int8Array]:
+        number, group = numbered
         beams = group.place_for_map(np.zeros(4))
-        surface.adjust(n, beams)
+        surface.adjust(number, beams)
+        stops_m = np.empty_like(beams.starts_m)
+        raytrace.stop_short(beams.starts_m, beams.ends_m, beams.kinds, beams.sigma_m, stops_m)
+        return beams, stops_m, surface.facings[number]
+
+    stood = [np.zeros((0, 2), np.int64)]
+    for beams, stops_m, facings in ahead(enumerate(groups), on_surface):
         stood.append(_cells_of(beams.stood_m(), origin_m, resolution_m))
-        _count(beams, surface.facings[n], counts, origin_m, resolution_m)
+        _count(beams, stops_m, facings, counts, origin_m, resolution_m)
     return np.concatenate(stood)
 
 
@@ -95,13 +102,16 @@ def _cells_of(points_m: FloatArray, origin_m: FloatArray, resolution_m: float) -
 
 
 def _count(
-    beams: Beams, facings: Int8Array, counts: CellCounts, origin_m: FloatArray, resolution_m: float
+    beams: Beams,
+    stops_m: FloatArray,
+    facings: Int8Array,
+    counts: CellCounts,
+    origin_m: FloatArray,
+    resolution_m: float,
 ) -> None:
-    """Add beams to the counts of a grid that starts at ``origin_m``."""
-    stops = np.empty_like(beams.starts_m)
-    raytrace.stop_short(beams.starts_m, beams.ends_m, beams.kinds, beams.sigma_m, stops)
+    """Add beams, which leave surely free space at ``stops_m`` (C, N, 2), to the counts of a grid that starts at ``origin_m``."""
     raytrace.trace_beams(
-        beams.starts_m.reshape(-1, 2), stops.reshape(-1, 2), beams.ends_m.reshape(-1, 2), beams.kinds.ravel(),
+        beams.starts_m.reshape(-1, 2), stops_m.reshape(-1, 2), beams.ends_m.reshape(-1, 2), beams.kinds.ravel(),
         origin_m, resolution_m, counts.hits, counts.passes, counts.nears,
     )  # fmt: skip
     raytrace.bridge_hits(
@@ -122,8 +132,7 @@ def _project_hits(
     # memory is taken as it is filled, not here
     points, stamps = np.empty((total, 2)), np.empty(total, np.int64)
     kept = seen = 0
-    for group in groups:
-        beams = group.place()
+    for beams in ahead(groups, ScanGroup.place):
         met = np.flatnonzero(beams.kinds == raytrace.HIT)
         chosen = met[-seen % keep_every :: keep_every]
         seen += len(met)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mfslam.types import FloatArray
+from mfslam.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +33,19 @@ def crispness(points_m: FloatArray, resolution_m: float = 0.02) -> Crispness:
     """Crispness of points (P, 2) over cells of ``resolution_m``; entropy is -sum p log p over cells hit."""
     if len(points_m) == 0:
         return Crispness(0, 0.0)
-    low, high = np.floor(points_m.min(axis=0) / resolution_m), np.floor(points_m.max(axis=0) / resolution_m)
     # one column after the other, sorted in place: clouds are large
-    keys = (np.floor(points_m[:, 0] / resolution_m) - low[0]).astype(np.int64)
-    keys *= int(high[1] - low[1]) + 1
-    keys += (np.floor(points_m[:, 1] / resolution_m) - low[1]).astype(np.int64)
+    keys = _cells_along(points_m[:, 0], resolution_m)
+    rows = _cells_along(points_m[:, 1], resolution_m)
+    keys *= int(rows.max()) + 1
+    keys += rows
     keys.sort()
     starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
     share = np.diff(starts, append=len(keys)) / len(keys)
     return Crispness(len(share), float(-np.sum(share * np.log(share))))
+
+
+def _cells_along(values_m: FloatArray, resolution_m: float) -> IntArray:
+    """Number of the cell that each value (P,) lies in, from 0."""
+    cells = np.floor(values_m / resolution_m).astype(np.int64)
+    cells -= cells.min()
+    return cells

@@ -61,17 +61,27 @@ def compare_motions(
     chosen = np.arange(0, len(scans), max(1, -(-beams // MAX_BEAMS)))
     some = [scans[n] for n in chosen.tolist()]
     as_posed = config.model_copy(update={"deskew": config.deskew.model_copy(update={"mode": "pose"})})
-    points = {
-        name: _hits(some, world_T_body[chosen], twists[chosen], as_posed) for name, twists in motions.items()
-    }
-    reference, facings, scan_of = points[list(motions)[-1]]
+    *_, last = motions.values()
+    reference, facings, scan_of = _oriented_hits(some, world_T_body[chosen], last[chosen], as_posed)
     if not len(reference):
         return {}
-    piece = _pieces(reference, facings, scan_of)
-    return {name: _sharpness(hits, piece).as_json() for name, (hits, _, _) in points.items()}
+    pieces = _Pieces.of(reference, facings, scan_of)
+    return {
+        name: _sharpness(
+            reference if twists is last else _hits(some, world_T_body[chosen], twists[chosen], as_posed),
+            pieces,
+        ).as_json()
+        for name, twists in motions.items()
+    }
 
 
-def _hits(
+def _hits(scans: Sequence[Scan], world_T_body: FloatArray, twists: FloatArray, config: Config) -> FloatArray:
+    """All hits (P, 2)."""
+    beams = [group.place() for group in scan_groups(scans, world_T_body, twists, config)]
+    return np.concatenate([each.ends_m[each.kinds == raytrace.HIT] for each in beams])
+
+
+def _oriented_hits(
     scans: Sequence[Scan], world_T_body: FloatArray, twists: FloatArray, config: Config
 ) -> tuple[FloatArray, IntArray, IntArray]:
     """All hits (P, 2), the sector that each faces (P,), and its scan (P,)."""
@@ -88,25 +98,36 @@ def _hits(
     return np.concatenate(points), np.concatenate(facings), np.concatenate(scan_of)
 
 
-def _pieces(points_m: FloatArray, facings: IntArray, scan_of: IntArray) -> IntArray:
-    """Number of the piece of wall that each hit belongs to, -1 for none."""
-    square = np.floor(points_m / PATCH_M).astype(np.int64)
-    square -= square.min(axis=0)
-    key = (square[:, 0] * (int(square[:, 1].max()) + 1) + square[:, 1]) * 8 + facings
-    key[facings < 0] = -1
-    _, piece = np.unique(key, return_inverse=True)
-    hits = np.bincount(piece)
-    pairs = np.unique(piece.astype(np.int64) * (int(scan_of.max()) + 1) + scan_of)
-    seen_by = np.bincount(pairs // (int(scan_of.max()) + 1), minlength=len(hits))
-    good = (hits >= _MIN_HITS) & (seen_by >= _MIN_SCANS)
-    out = np.where(good[piece] & (facings >= 0), piece, -1)
-    return np.asarray(out, np.int64)
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """Pieces of wall: the hits that belong to one, and the number (from 0) of each one's piece."""
+
+    hits: IntArray
+    piece: IntArray
+    count: int
+
+    @classmethod
+    def of(cls, points_m: FloatArray, facings: IntArray, scan_of: IntArray) -> _Pieces:
+        """Of hits (P, 2), their sectors (P,), -1 for none, and their scans (P,), which never fall."""
+        oriented = np.flatnonzero(facings >= 0)
+        square = np.floor(points_m[oriented] / PATCH_M).astype(np.int64)
+        for axis in range(2):
+            square[:, axis] -= square[:, axis].min(initial=0)
+        key = (square[:, 0] * (int(square[:, 1].max(initial=0)) + 1) + square[:, 1]) * 8 + facings[oriented]
+        by_piece = np.argsort(key, kind="stable")  # within a piece in the order of the scans
+        key, scan = key[by_piece], scan_of[oriented][by_piece]
+        begins = np.concatenate([[True], key[1:] != key[:-1]])[: len(key)]
+        piece = np.cumsum(begins) - 1
+        hits = np.bincount(piece)
+        seen_by = np.bincount(piece[begins | np.concatenate([[True], scan[1:] != scan[:-1]])[: len(key)]])
+        good = (hits >= _MIN_HITS) & (seen_by >= _MIN_SCANS)
+        kept = good[piece]
+        renumbered = np.cumsum(good) - 1
+        return cls(oriented[by_piece[kept]], renumbered[piece[kept]], int(np.count_nonzero(good)))
 
 
-def _sharpness(points_m: FloatArray, piece: IntArray) -> Sharpness:
-    of_wall = piece >= 0
-    index, inverse = np.unique(piece[of_wall], return_inverse=True)
-    across, along = _spreads(points_m[of_wall], inverse, len(index))
+def _sharpness(points_m: FloatArray, pieces: _Pieces) -> Sharpness:
+    across, along = _spreads(points_m[pieces.hits], pieces.piece, pieces.count)
     thickness = across[along >= _MIN_SPREAD_M]
     none = not len(thickness)
     return Sharpness(
