@@ -357,7 +357,7 @@ def _add_sensors(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--lidar",
         metavar="SENSOR",
-        help="urg:/dev/ttyACM0, urg:HOST:PORT, lds:MODEL:/dev/ttyUSB0 or sim:WORLD",
+        help="urg:/dev/ttyACM0, urg:HOST:PORT, rplidar:MODEL:/dev/ttyUSB0, lds:MODEL:/dev/ttyUSB0 or sim:WORLD",
     )
     command.add_argument(
         "--wheels",

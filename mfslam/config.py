@@ -384,7 +384,7 @@ class BoardConfig(_Stage):
 
 
 class LdsConfig(_Stage):
-    """A live laser of another maker (lds2d)."""
+    """A live laser that turns all the way round (rplidar:, lds:)."""
 
     clockwise: bool = Field(True, description="It turns clockwise as seen from above, as most of them do.")
 

@@ -13,7 +13,7 @@ from drivers.transport import tcp_address
 from mfslam.config import Config
 from mfslam.types import MfslamError
 
-LIDARS = "urg:DEVICE, urg:HOST:PORT, lds:MODEL:DEVICE, sim:WORLD, sim:WORLD@utm-30lx"
+LIDARS = "urg:DEVICE, urg:HOST:PORT, rplidar:MODEL:DEVICE, lds:MODEL:DEVICE, sim:WORLD, sim:WORLD@utm-30lx"
 _SIMULATED_BOARDS: dict[str, tuple[Literal["lines", "arduino"], str]] = {
     "sim": ("lines", "board"),
     "sim:arduino": ("arduino", "arduino"),
@@ -32,7 +32,7 @@ class Sources:
         if self.lidar is None and self.wheels is None:
             raise MfslamError("expected --lidar or --wheels, or both")
         for option, text, known, kinds in (
-            ("--lidar", self.lidar, LIDARS, ("urg", "lds", "sim")),
+            ("--lidar", self.lidar, LIDARS, ("urg", "rplidar", "lds", "sim")),
             ("--wheels", self.wheels, WHEELS, ("board", "arduino", "sim")),
         ):
             kind, _, rest = (text or "").partition(":")
@@ -42,6 +42,8 @@ class Sources:
                 raise MfslamError(f"{option} {text}: expected one of {known}")
         if self.lidar is not None and self.lidar.startswith("urg:"):
             tcp_address(self.lidar[4:])
+        if self.lidar is not None and self.lidar.startswith("rplidar:"):
+            _rplidar(self.lidar)
         if self._simulated_wheels and not self._simulated_lidar:
             raise MfslamError(
                 f"--wheels {self.wheels}: needs the world of a simulated lidar: --lidar sim:WORLD"
@@ -89,7 +91,8 @@ class Sources:
         mount = (sensor.mount_x_m or 0.0, sensor.mount_y_m or 0.0, math.radians(sensor.mount_yaw_deg or 0.0))
         board, kind = _SIMULATED_BOARDS.get(self.wheels or "", (None, ""))
         played = stack.enter_context(SimulatedSensors(Cast(world, laser or "urg-04lx", board, mount=mount)))
-        return f"urg:{played.lidar}", f"{kind}:{played.board}" if board else self.wheels
+        driver = f"rplidar:{laser.removeprefix('rplidar-')}" if laser.startswith("rplidar-") else "urg"
+        return f"{driver}:{played.lidar}", f"{kind}:{played.board}" if board else self.wheels
 
 
 def _lidar(text: str, config: Config, clock: HostClock) -> Sensor:
@@ -103,9 +106,23 @@ def _lidar(text: str, config: Config, clock: HostClock) -> Sensor:
                 f"--lidar {text}: expected lds:MODEL:DEVICE; models: {', '.join(LdsSensor.models())}"
             )
         return LdsSensor(model, device, config, clock=clock)
+    if kind == "rplidar":
+        from drivers.rplidar.sensor import RplidarSensor
+
+        return RplidarSensor(*_rplidar(text), config, clock=clock)
     from drivers.scip.sensor import UrgSensor
 
     return UrgSensor(address, config, clock=clock)
+
+
+def _rplidar(text: str) -> tuple[str, str]:
+    """Model and device. Raises MfslamError."""
+    from drivers.rplidar.sensor import MODELS
+
+    model, _, device = text.removeprefix("rplidar:").partition(":")
+    if not device or model.upper() not in MODELS:
+        raise MfslamError(f"--lidar {text}: expected rplidar:MODEL:DEVICE; models: {', '.join(MODELS)}")
+    return model, device
 
 
 def _wheels(text: str, config: Config, clock: HostClock) -> Sensor:

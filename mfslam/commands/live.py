@@ -130,7 +130,8 @@ class Drive:
                         feed.stop()
         except MfslamError as trouble:  # a sensor was never there, the acquisition died, or the disk is full
             self.error = str(trouble)
-            watching.status.tell(f"note: {trouble}")
+            if self.told:  # else it is all that there is to say
+                watching.status.tell(f"note: {trouble}")
         finally:
             self.findings.merge(feed.findings)
         if not self.told:

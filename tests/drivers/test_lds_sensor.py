@@ -12,8 +12,7 @@ from virtual_line import VirtualLine, first, until
 
 from drivers.base import SensorTrouble
 from drivers.host_clock import HostClock
-from drivers.laser_models import LogGeometry, laser_from
-from drivers.lds_sensor import LdsSensor, on_beams
+from drivers.lds_sensor import LdsSensor
 from drivers.simulator.devices.wire import Block, LineFault, LineFaults, Wire
 from mfslam.config import Config
 from mfslam.types import MfslamError, Scan
@@ -123,22 +122,6 @@ def test_an_unplugged_laser_is_found_again_and_bent_packets_are_left_out() -> No
     for scan in scans[5:]:
         seen = np.isfinite(scan.ranges_m)
         assert seen.mean() > 0.5 and np.all(scan.ranges_m[seen] < 2.9)
-
-
-def test_points_come_to_even_beams() -> None:
-    laser = laser_from(Config().sensor, LogGeometry(8, 0.0, math.pi / 4))
-    point = lds2d.ScanPoint
-    told = [
-        point(22.5, 1000, 9),
-        point(67.5, 1040, 9),
-        point(112.5, 3000, 9),
-        point(130.0, 0, 9),
-        point(200.0, 2000, 9),
-    ]
-    ranges = on_beams(told, laser)
-    assert ranges[1] == pytest.approx(1.02)  # between two points of one wall
-    assert ranges[2] in (np.float32(1.04), np.float32(3.0))  # an edge: one of them, nothing between
-    assert np.isnan(ranges[3]) and np.isnan(ranges[6]) and np.isnan(ranges[7])
 
 
 def test_a_silent_port_and_an_unknown_model_are_told() -> None:

@@ -191,6 +191,12 @@ def test_a_full_disk_is_told_and_what_was_recorded_stays(tmp_path: Path) -> None
         (["--lidar", "sick:/dev/ttyS0"], "expected one of urg:DEVICE"),
         (["--lidar", "sim:nowhere"], "no world"),
         (["--lidar", "sim:demo@urg-05"], "no simulated laser"),
+        (
+            ["--lidar", "rplidar:/dev/ttyUSB0"],
+            "expected rplidar:MODEL:DEVICE; models: A1, A2, A3, C1, S1, S2, S3",
+        ),
+        (["--lidar", "rplidar:A9:/dev/ttyUSB0"], "expected rplidar:MODEL:DEVICE"),
+        (["--lidar", "rplidar:s2:/dev/nowhere"], "rplidar:s2:/dev/nowhere: cannot be opened"),
         (["--wheels", "sim"], "needs the world of a simulated lidar"),
         (["--lidar", "sim:demo", "--wheels", "sim:arm"], "--wheels sim:arm: expected one of board:DEVICE"),
         (["--lidar", "sim:demo", "--wheels", "board:/dev/nowhere"], "board:/dev/nowhere: cannot be opened"),

@@ -30,7 +30,7 @@ STEP_S = 0.001
 
 @dataclass(frozen=True)
 class Cast:
-    """What is simulated. ``laser``: a model of `stage.URG_MODELS`; ``baud``: of its serial line, None for USB.
+    """What is simulated. ``laser``: a model of `stage.URG_MODELS` or `RPLIDAR_MODELS`; ``baud``: of its serial line, None for USB.
     ``record``: file for a line of JSON per block that was sent, for tests."""
 
     world: str = "demo"
@@ -113,23 +113,30 @@ def main(folder: Path) -> int:
 def _lines(cast: Cast, folder: Path) -> tuple[list[_Line], IO[str] | None]:
     import numpy as np
 
+    from drivers.rplidar.sensor import MODELS
     from drivers.simulator.catalog import load_world
     from drivers.simulator.devices.board import ArduinoDevice, StreamingBoardDevice
-    from drivers.simulator.devices.stage import URG_MODELS, Stage
+    from drivers.simulator.devices.rplidar import SimulatedRplidar
+    from drivers.simulator.devices.stage import RPLIDAR_MODELS, URG_MODELS, Stage
     from drivers.simulator.devices.urg import SimulatedUrg
     from drivers.simulator.robot import RobotModel
     from mfslam.settings import did_you_mean
 
-    if cast.laser is not None and cast.laser not in URG_MODELS:
-        hint = did_you_mean(cast.laser, URG_MODELS) or "."
-        raise MfslamError(f"no simulated laser {cast.laser!r}{hint} Known: {', '.join(URG_MODELS)}")
+    models = URG_MODELS | RPLIDAR_MODELS
+    if cast.laser is not None and cast.laser not in models:
+        hint = did_you_mean(cast.laser, models) or "."
+        raise MfslamError(f"no simulated laser {cast.laser!r}{hint} Known: {', '.join(models)}")
     robot = RobotModel(max_speed_m_s=cast.speed_m_s)
     world = load_world(cast.world, cast.speed_m_s)
-    stage = Stage(world, robot, URG_MODELS[cast.laser or "urg-04lx"], np.array(cast.mount), seed=cast.seed)
+    stage = Stage(world, robot, models[cast.laser or "urg-04lx"], np.array(cast.mount), seed=cast.seed)
     stage.values(0.0)  # compiles the ray caster
     start_s = time.monotonic() + 0.2
     out: list[_Line] = []
-    if cast.laser is not None:
+    if cast.laser in RPLIDAR_MODELS:
+        model = cast.laser.removeprefix("rplidar-")
+        rplidar = SimulatedRplidar(stage, model, cast.baud or MODELS[model.upper()].bauds[0], start_s)
+        out.append(_Line("lidar", rplidar, cast.laser_faults, folder, True))
+    elif cast.laser is not None:
         urg = SimulatedUrg(stage, cast.baud or 115200, cast.scip1, 4e6, 30e-6, start_s)
         out.append(_Line("lidar", urg, cast.laser_faults, folder, cast.baud is not None))
     if cast.board == "arduino":

@@ -20,7 +20,8 @@ from mfslam.types import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class UrgModel:
-    """A Hokuyo as PP tells it, and what of that is not true. ``nothing``: the value of a beam that meets nothing."""
+    """A Hokuyo as PP tells it, and what of that is not true; or another laser in the same words. ``nothing``: the value of
+    a beam that meets nothing."""
 
     name: str
     preset: str
@@ -32,6 +33,7 @@ class UrgModel:
     front_step: int
     rpm: int
     nothing: int
+    clockwise: bool = False
 
     @property
     def period_s(self) -> float:
@@ -44,6 +46,15 @@ URG_MODELS = {
     ),
     "utm-30lx": UrgModel("UTM-30LX", "utm-30lx", 23, 60000, 1440, 0, 1080, 540, 2400, 65533),
 }
+RPLIDAR_MODELS = {
+    f"rplidar-{name}": UrgModel(
+        f"rplidar-{name}", f"rplidar-{preset}", 150, max_mm, points, 0, points - 1, 0, 600, 0, clockwise=True
+    )
+    for name, preset, max_mm, points in (
+        ("a1", "a1", 12000, 200), ("a2", "a2", 16000, 200), ("a3", "a2", 25000, 400), ("s1", "a2", 40000, 400),
+        ("s2", "a2", 30000, 400),
+    )
+}  # fmt: skip
 TOO_NEAR = 7  # an error code
 WHEEL_STEP_S = 0.005  # slip is drawn for so long
 
@@ -64,7 +75,7 @@ class Stage:
         *self._rngs, wheel_rng, self._gyro_rng = np.random.default_rng(self.seed).spawn(4)
         self._times_s = np.arange(0.0, self.motion.duration_s + WHEEL_STEP_S, WHEEL_STEP_S)
         self._wheel_rad = wheel_angles(self.motion, self.robot, self._times_s, wheel_rng)
-        step_rad = 2.0 * math.pi / self.urg.steps_per_turn
+        step_rad = (-2.0 if self.urg.clockwise else 2.0) * math.pi / self.urg.steps_per_turn
         steps = self.urg.last_step - self.urg.first_step + 1
         told = LogGeometry(
             steps,
@@ -76,7 +87,7 @@ class Stage:
         sensor = load([preset_path(self.urg.preset)]).sensor
         mount = dict(zip(("mount_x_m", "mount_y_m"), self.body_T_laser[:2].tolist(), strict=True))
         mount["mount_yaw_deg"] = math.degrees(self.body_T_laser[2])
-        sensor = sensor.model_copy(update={**mount, "turn_period_s": self.period_s})
+        sensor = sensor.model_copy(update={**mount, "turn_period_s": self.period_s, "reversed_beams": False})
         laser = laser_from(sensor, told, name=self.urg.name)
         self._laser = LaserModel(laser, self.period_s, range_step_m=0.001)
 
