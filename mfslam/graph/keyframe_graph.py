@@ -106,6 +106,13 @@ class PoseGraph:
             self._solve()
         return self._poses.copy()
 
+    def seen_poses(self) -> FloatArray:
+        """(K, 3) what `rough_poses` would say, for those who only look: the graph stays as it is, and so does all that
+        is found later."""
+        if not self._is_contradicted:
+            return self._poses.copy()
+        return self.solved_with(np.zeros(0, np.int64), np.zeros((0, 3)), self._poses)
+
     def numbers_in_use(self) -> IntArray:
         """Of the edges, in order."""
         return np.flatnonzero(self._in_use())

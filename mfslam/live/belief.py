@@ -47,9 +47,9 @@ class Belief:
     def keyframes(self, graph: PoseGraph) -> FloatArray:
         """(K, 3) world_T_body of all keyframes of ``graph``, which has grown since."""
         if self._refined is None:
-            return graph.rough_poses()
+            return graph.seen_poses()
         self._known = graph.still_known(self._known, self._refined.keyframes)
-        poses, count = graph.rough_poses(), len(self._poses)
+        poses, count = graph.seen_poses(), len(self._poses)
         onto = se2.compose(self._poses[-1], se2.inverse(poses[count - 1]))
         self._poses = np.concatenate([self._poses, se2.compose(onto, poses[count:])])
         others = np.setdiff1d(graph.numbers_in_use(), self._known, assume_unique=True)

@@ -88,3 +88,22 @@ def test_a_refinement_that_refused_a_loop_goes_on_when_the_graph_takes_it_out(gr
     belief.take(refined_of(truth(KNOWN)), graph.numbers_in_use())
     graph.remove_edges([wrong])
     assert np.array_equal(belief.keyframes(graph), truth(KNOWN))
+
+
+@pytest.mark.parametrize("refined", [False, True])
+def test_who_asks_what_is_believed_changes_nothing_of_what_is_found(refined):
+    found = []
+    for asks in (False, True):
+        graph, belief = PoseGraph(Config().graph), Belief()
+        graph.add_first(np.zeros(3))
+        drive(graph, 1, KNOWN)
+        if refined:
+            belief.take(refined_of(truth(KNOWN)), graph.numbers_in_use())
+        for k in range(KNOWN, 2 * KNOWN):
+            drive(graph, k, k + 1)
+            if asks:
+                belief.keyframes(graph)
+            if k % 3 == 0:
+                graph.rough_poses()
+        found.append(graph.poses())
+    assert np.array_equal(*found)
