@@ -12,7 +12,7 @@ from typing import Any
 from mfslam.commands.status_line import StatusLine, describe
 from mfslam.live.engine import LiveSlam
 from mfslam.live.state import LiveState
-from mfslam.viewer.client import Viewer
+from mfslam.viewer.client import Asked, Viewer
 from mfslam.viewer.place import Place
 
 SHOW_EVERY_S = 0.1
@@ -31,7 +31,7 @@ class Watching:
     viewer: Viewer | None = None
     _shown_s: float = 0.0
     _begun_s: float = field(default_factory=time.monotonic)
-    _asked: dict[int, int] = field(default_factory=dict)  # wishes of browsers, by the engine's number
+    _asked: dict[int, Asked] = field(default_factory=dict)  # wishes of browsers, by the engine's number
     _told: set[str] = field(default_factory=set)
 
     def look(self, health: list[dict[str, Any]], more_notes: Callable[[], list[str]] = list) -> None:

@@ -20,6 +20,7 @@ START_S = 60.0
 PAUSE_S = 1.0  # before a viewer that has died is started again
 MOST_RESTARTS = 20
 LEAVE_S = 3.0
+Asked = tuple[int, int]  # which of the viewer's processes asks, and its number there
 
 
 class Viewer:
@@ -36,7 +37,8 @@ class Viewer:
         self._wake = threading.Condition()
         self._state: LiveState | None = None
         self._words: deque[tuple[Any, ...]] = deque()
-        self._wishes: deque[int] = deque()
+        self._over: tuple[Any, ...] | None = None  # the latest word that nothing new comes
+        self._wishes: deque[Asked] = deque()
         self._closing = False
         self.restarts = 0
         self.trouble: str | None = None
@@ -53,21 +55,25 @@ class Viewer:
             self._state = state
             self._wake.notify()
 
-    def wish(self) -> int | None:
-        """The number of a wish to save the map now, if a browser has one; it is to be `answer`-ed."""
+    def wish(self) -> Asked | None:
+        """A wish to save the map now, if a browser has one; it is to be `answer`-ed."""
         return self._wishes.popleft() if self._wishes else None
 
-    def answer(self, wish: int, text: str | None = None, error: str | None = None) -> None:
+    def answer(self, wish: Asked, text: str | None = None, error: str | None = None) -> None:
         """What came of a wish, in words."""
+        process, number = wish
         with self._wake:
-            self._words.append(("answer", wish, {"error": error} if error is not None else {"text": text}))
+            if process != self.restarts:  # who asked has gone
+                return
+            self._words.append(("answer", number, {"error": error} if error is not None else {"text": text}))
             self._wake.notify()
 
     def end(self, why: str, last: bool = True) -> None:
         """Nothing new will come, or not soon: ``why``, in words, stands on the page, if it is the ``last`` word also when
         we have gone."""
         with self._wake:
-            self._words.append(("over", why, last))
+            self._over = ("over", why, last)
+            self._words.append(self._over)
             self._wake.notify()
 
     def close(self) -> None:
@@ -100,7 +106,8 @@ class Viewer:
             process.end()
             raise MfslamError(str(value))
         self._job = replace(self._job, place=replace(self._job.place, port=value))
-        process.listen(lambda wish: self._wishes.append(wish[1]), gone=self._notify)
+        asks = self.restarts
+        process.listen(lambda wish: self._wishes.append((asks, wish[1])), gone=self._notify)
 
     def _notify(self) -> None:
         with self._wake:
@@ -129,7 +136,9 @@ class Viewer:
                 if closing or not self._revive():
                     return
                 grid = None
-                self._state = self._state or last
+                with self._wake:
+                    self._state = self._state or last
+                    self._words = deque() if self._over is None else deque([self._over])
             if closing:
                 return
 

@@ -13,7 +13,7 @@ import urllib.error
 import urllib.request
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -186,6 +186,38 @@ def test_a_wish_to_save_is_answered_and_a_killed_viewer_comes_back(tmp_path: Pat
         assert "SIGKILL" in (viewer.trouble or "")
         # at the same address, and with all there was, though nothing new has come
         assert len(first_with(viewer.url, "map")["tiles"]) == 4
+
+
+def test_a_viewer_that_is_killed_during_the_final_solve_still_says_that_it_is_solved(tmp_path: Path) -> None:
+    with Viewer(ANY, "robot", tmp_path) as viewer:
+        viewer.show(state(9, room()))
+        viewer.end("solving the whole map", last=False)
+        assert first_with(viewer.url, "over") == "solving the whole map"
+        os.kill(viewer.process.pid, signal.SIGKILL)
+        wait_for(lambda: viewer.restarts == 1 and "started again; mapping went on" in (viewer.trouble or ""))
+        told = next(event for event in events(viewer.url) if "over" in event)
+        assert told["over"] == "solving the whole map" and not told["last"]
+        viewer.end("saved", last=True)
+        assert any(event.get("over") == "saved" and event["last"] for event in events(viewer.url))
+
+
+def test_an_answer_to_a_browser_of_a_viewer_that_has_died_reaches_no_other(tmp_path: Path) -> None:
+    with Viewer(ANY, "robot", tmp_path) as viewer:
+        said: list[bytes] = []
+
+        def save() -> None:
+            with suppress(OSError):
+                said.append(get(f"{viewer.url}save", b"", X_Mfslam="1")[1])
+
+        threading.Thread(target=save, daemon=True).start()
+        first = wait_for(viewer.wish)
+        os.kill(viewer.process.pid, signal.SIGKILL)
+        wait_for(lambda: viewer.restarts == 1 and "started again; mapping went on" in (viewer.trouble or ""))
+        viewer.answer(first, text="late")
+        threading.Thread(target=save, daemon=True).start()
+        second = wait_for(viewer.wish)
+        viewer.answer(second, text="now")
+        assert json.loads(wait_for(lambda: said)[-1]) == {"text": "now"}
 
 
 def test_a_viewer_that_hangs_holds_up_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
