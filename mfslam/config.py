@@ -226,6 +226,12 @@ class LoopsConfig(_Stage):
     max_near_places: int = Field(
         3, ge=1, description="Places tried in one search while the position is sure."
     )
+    gain_sigmas: float = Field(
+        4.0,
+        ge=0,
+        description="A place is tried only where the graph is less sure of it than so many sigmas of a loop's "
+        "systematic error, in position or heading.",
+    )
     min_score: float = Field(
         0.35, gt=0, lt=1, description="Correlative score below which there is no candidate."
     )

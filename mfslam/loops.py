@@ -108,13 +108,18 @@ class LoopCloser:
         best: dict[int, int] = {}
         for n in np.argsort(distance[near], kind="stable"):
             best.setdefault(int(stretch[n]), int(near[n]))
+        # by now the graph may know as well as a match would: a spot that was tied well is left alone, however many passes
+        # went by it
+        least_m = config.gain_sigmas * math.sqrt(2.0) * config.sigma_floor_m
+        least_rad = config.gain_sigmas * math.radians(config.sigma_floor_deg)
+        tells = [k for k in best.values() if sigma_m[k] > least_m or sigma_rad[k] > least_rad]
         out = [
             Candidate(
                 self._anchor(k),
                 max(config.min_window_m, float(window[k])),
                 min(max(0.1, config.window_sigmas * float(sigma_rad[k])), math.pi),
             )
-            for k in best.values()
+            for k in tells
         ]
         sure = [c for c in out if c.window_m <= config.wide_window_m and not self._tied_lately(c)]
         sure = sure[: config.max_near_places]

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
-import gc
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,6 +13,7 @@ import numpy as np
 from drivers.base import LogInfo
 from mfslam.config import Config
 from mfslam.mapping import render_map
+from mfslam.memory import give_memory_back
 from mfslam.metrics import compare_motions
 from mfslam.observability import open_stretches
 from mfslam.output import json_text, summarise, write_atomically, write_run
@@ -137,10 +135,3 @@ def leave(outcome: Outcome, config: Config, folder: Path, json_file: Path | None
     write_run(outcome.result, config, folder, outcome.summary)
     if json_file is not None:
         write_atomically(json_file, json_text(outcome.summary).encode())
-
-
-def give_memory_back() -> None:
-    """Hand what was freed back to the system before large grids and pictures are made: glibc keeps it."""
-    gc.collect()
-    with contextlib.suppress(OSError, AttributeError):  # another C library keeps what it keeps
-        ctypes.CDLL("libc.so.6").malloc_trim(0)

@@ -10,12 +10,12 @@ from typing import cast
 import numpy as np
 
 from mfslam import icp, se2
-from mfslam.adjustment import Adjusted, AdjustedInformation, Noise, WheelTerms, adjust
+from mfslam.adjustment import Adjusted, AdjustedInformation, Noise, ScanPoints, WheelTerms, adjust
 from mfslam.config import Config, IcpConfig
 from mfslam.deskew import deskew
 from mfslam.frontend import Keyframe, merged_surface
 from mfslam.scan_motion import ADJUSTED_SIGMAS, MATCHED_SIGMAS
-from mfslam.types import DeskewedScan, Edge, FloatArray, IntArray, Match, Scan
+from mfslam.types import Edge, FloatArray, IntArray, Match, Scan
 from mfslam.wheel_errors import WheelErrors, WheelStep
 
 # how well a scan between keyframes is known before (m, m, rad)
@@ -49,14 +49,12 @@ class Refinement:
         self._gate_share, self._iterations = 1.0, config.refine.iterations
         self._loops = [edge for edge in edges if edge.kind == "loop" and edge.weight >= 0.5]
 
-    def round(
-        self, clouds: Sequence[DeskewedScan], origins_m: FloatArray, world_T_body: FloatArray
-    ) -> FloatArray:
-        """(K, 3) keyframes after one more round. ``origins_m`` (K, 2): the laser in the body frame."""
+    def round(self, points: ScanPoints, world_T_body: FloatArray) -> FloatArray:
+        """(K, 3) keyframes after one more round."""
         gate_m = self.config.refine.search_radius_m * self._gate_share
         self._adjusted = None  # its system is large
         adjusted = adjust(
-            clouds, origins_m, world_T_body, [*self._ties, *self._loops], self.wheels, self.noise,
+            points, world_T_body, [*self._ties, *self._loops], self.wheels, self.noise,
             self._iterations, gate_m,
         )  # fmt: skip
         self.noise, self._adjusted = adjusted.noise, adjusted

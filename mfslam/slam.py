@@ -11,13 +11,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mfslam import refine, se2, trajectory
-from mfslam.adjustment import AdjustedInformation
+from mfslam.adjustment import AdjustedInformation, ScanPoints
 from mfslam.config import Config
 from mfslam.deskew import acceleration_lever_s2, deskew, reference_offset_s
 from mfslam.frontend import Frontend, Keyframe, Step
 from mfslam.graph import PoseGraph, scan_covariances
 from mfslam.kernels import poses
 from mfslam.loops import LoopCloser
+from mfslam.memory import give_memory_back
 from mfslam.motion import MotionSources
 from mfslam.recovery import reach
 from mfslam.refine import HARDLY_ANYTHING, INERTIA
@@ -280,24 +281,34 @@ class Slam:
         refinement = refine.Refinement(
             config, edges, motion.wheel_steps, motion.wheel_errors, self.scans[0].laser.range_sigma_m
         )
-        origins_m = np.array([self.scans[k.scan_index].laser.body_T_laser[:2] for k in self.keyframes])
         for _ in range(config.refine.passes):
             tell("adjusting all keyframes and their walls together")
             with self.clock.time("adjustment"):
                 world_T_keyframe = self.graph.poses()
                 motions = self._smooth(self._scan_poses(world_T_keyframe)).twists
-                for keyframe in self.keyframes:
-                    n = keyframe.scan_index
-                    keyframe.cloud = deskew(
-                        self.scans[n], motions[n], config.deskew, config.icp.point_spacing_m
-                    )
-                clouds = [keyframe.cloud for keyframe in self.keyframes]
-                world_T_keyframe = refinement.round(clouds, origins_m, world_T_keyframe)
+                lasers = [self.scans[k.scan_index].laser for k in self.keyframes]
+                points = ScanPoints.of(
+                    self._deskewed(motions),
+                    sum(laser.angles_rad.size for laser in lasers),
+                    np.array([laser.body_T_laser[:2] for laser in lasers]),
+                )
+                for k, keyframe in enumerate(self.keyframes):
+                    keyframe.cloud = points.scan(k)
+                give_memory_back()
+                world_T_keyframe = refinement.round(points, world_T_keyframe)
                 if len(refinement.wheels):
                     motion.wheel_errors.found(refinement.wheels.mean_errors, refinement.wheels.share)
                 edges = self.graph.place(world_T_keyframe, motion.revised(edges))
         self.information = refinement.information()
         return edges
+
+    def _deskewed(self, motions: FloatArray) -> Iterator[DeskewedScan]:
+        """The keyframes deskewed with ``motions`` (S, 6) of all scans; what was made of them before is dropped."""
+        for keyframe in self.keyframes:
+            keyframe.cloud = NO_POINTS
+        for keyframe in self.keyframes:
+            n = keyframe.scan_index
+            yield deskew(self.scans[n], motions[n], self.config.deskew, self.config.icp.point_spacing_m)
 
     def _variances(self, motion: SmoothMotion, offsets_s: FloatArray) -> FloatArray:
         """(S, 3) of poses at the scans' stamps as smoothed, and as their scans may be bent by an acceleration not known."""

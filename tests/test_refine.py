@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mfslam import refine, se2
+from mfslam.adjustment import ScanPoints
 from mfslam.config import Config
 from mfslam.deskew import deskew
 from mfslam.frontend import Keyframe
@@ -27,16 +28,18 @@ def clouds_of(scans):
     return [deskew(scan, TWIST, Config().deskew, 0.05) for scan in scans]
 
 
+def points_of(scans):
+    return ScanPoints.of(
+        clouds_of(scans), sum(len(scan.ranges_m) for scan in scans), np.zeros((len(scans), 2))
+    )
+
+
 def chain(truth, information):
     """Scan edges between successive poses."""
     return [
         Edge("scan", k, k + 1, se2.between(truth[k], truth[k + 1]), information)
         for k in range(len(truth) - 1)
     ]
-
-
-def origins(count):
-    return np.zeros((count, 2))
 
 
 def refinement(edges):
@@ -51,7 +54,7 @@ def test_rounds_bring_a_bent_estimate_to_the_truth():
     rounds = refinement(chain(truth, np.eye(3)))
     poses = bent
     for _ in range(2):
-        poses = rounds.round(clouds_of(scans), origins(12), poses)
+        poses = rounds.round(points_of(scans), poses)
     assert np.all(np.abs(se2.between(truth, poses)) < [0.005, 0.005, 0.003])
 
 
@@ -60,7 +63,7 @@ def test_a_match_that_was_wrong_does_not_outvote_the_walls():
     scans, truth = drive(12)
     edges = chain(truth, 1e6 * np.eye(3))
     edges[5] = Edge("scan", 5, 6, edges[5].i_T_j + np.array([0.08, 0.0, 0.0]), edges[5].information)
-    poses = refinement(edges).round(clouds_of(scans), origins(12), truth)
+    poses = refinement(edges).round(points_of(scans), truth)
     assert np.all(np.abs(se2.between(truth, poses)) < [0.006, 0.006, 0.003])
 
 
@@ -70,8 +73,8 @@ def test_a_loop_that_the_walls_contradict_moves_nothing_and_a_refused_one_takes_
     loop = Edge("loop", 0, 11, wrong, 1e4 * np.eye(3))
     refused = Edge("loop", 0, 11, wrong + np.array([3.0, 0.0, 0.0]), 1e8 * np.eye(3), weight=0.0)
     rounds = refinement([*chain(truth, np.eye(3)), loop, refused])
-    poses = rounds.round(clouds_of(scans), origins(12), truth)
-    poses = rounds.round(clouds_of(scans), origins(12), poses)
+    poses = rounds.round(points_of(scans), truth)
+    poses = rounds.round(points_of(scans), poses)
     assert np.all(np.abs(se2.between(truth, poses)) < [0.006, 0.006, 0.003])
 
 

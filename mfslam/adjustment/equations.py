@@ -10,11 +10,12 @@ import numpy as np
 
 from mfslam import se2
 from mfslam.kernels import half_matrix
-from mfslam.types import BoolArray, FloatArray, IntArray
+from mfslam.types import BoolArray, Float32Array, FloatArray, IntArray
 
 HELD = 1e10  # information that nails an unknown
 # of conjugate gradients: each iteration of Gauss-Newton leaves more than that error
 RELATIVE_ERROR, MOST_STEPS = 1e-3, 200
+INVERTED = 64  # blocks of stretches at a time
 STRETCH, MOST_STRETCHES = 6, 1200  # poses in a stretch, on logs that are not too long for it
 
 
@@ -137,12 +138,13 @@ class Solver:
         self._carry_back = self._carry.T.tocsr()
         self._parts: list[Part] = []
         self._coarse: Any = None
-        self._within: FloatArray | None = None
+        self._own: Float32Array | None = None  # (C, 3 size, 3 size) inverse of each stretch's block
+        self._first_block: FloatArray | None = None
         self._precondition: Callable[[FloatArray], FloatArray] = np.copy
 
     def forget(self) -> None:
         """Give the matrix back."""
-        self._parts, self._coarse, self._within, self._precondition = [], None, None, np.copy
+        self._parts, self._coarse, self._own, self._precondition = [], None, None, np.copy
 
     def take(self, parts: Sequence[Part]) -> None:
         """The next matrix, as the sum of its parts. Raises RuntimeError where it is singular."""
@@ -160,14 +162,19 @@ class Solver:
         ]
         filled_up = np.arange(3 * unknowns, count * size) % size
         within[-1, filled_up, filled_up] = 1.0
-        self._coarse, self._within = sum(part.whole() for part in coarse), within
+        self._coarse, self._first_block = sum(part.whole() for part in coarse), within[0].copy()
         factors: Any = splu(  # the matrix is symmetric: its rows are its columns
             self._coarse.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
-        own = np.linalg.inv(within)
+        # single precision: these are only read, to say about where the solution is
+        own = np.empty(within.shape, np.float32)
+        for first in range(0, count, INVERTED):
+            own[first : first + INVERTED] = np.linalg.inv(within[first : first + INVERTED])
+        del within
+        self._own = own
 
         def precondition(rhs: FloatArray) -> FloatArray:
-            padded = np.zeros((count, size, rhs.shape[1]))
+            padded = np.zeros((count, size, rhs.shape[1]), np.float32)
             padded.reshape(-1, rhs.shape[1])[: len(rhs)] = rhs
             single = (own @ padded).reshape(-1, rhs.shape[1])[: len(rhs)]
             return np.asarray(single + self._carry @ factors.solve(self._carry_back @ rhs))
@@ -178,11 +185,18 @@ class Solver:
         """How stretches carry the unknowns (3 U, 3 C), and their information (3 C, 3 C): sparse."""
         return self._carry, self._coarse
 
-    def within_stretches(self) -> FloatArray:
-        """(C, 3 size, 3 size) information of the unknowns of each stretch, all others being held; filled up with
-        ones at its end."""
-        assert self._within is not None
-        return self._within.copy()
+    def play_within_stretches(self) -> FloatArray:
+        """(U, 3, 3) covariance of each unknown while all that are not of its stretch are held; what holds the first of them
+        has no say."""
+        assert self._own is not None and self._first_block is not None
+        first = self._first_block.copy()
+        first[:3, :3] -= HELD * np.eye(3)
+        count, inner = len(self._own), np.arange(self._size)
+        blocks = self._own.reshape(count, self._size, 3, self._size, 3)[:, inner, :, inner, :]
+        out = blocks.swapaxes(0, 1).reshape(-1, 3, 3).astype(np.float64)
+        of_first = np.linalg.inv(first).reshape(self._size, 3, self._size, 3)[inner, :, inner, :]
+        out[: self._size] = of_first
+        return np.asarray(out[: len(self._coarse_of)])
 
     def _times(self, x: FloatArray) -> FloatArray:
         out = np.zeros_like(x)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from mfslam import se2
-from mfslam.adjustment.equations import HELD, Solver
+from mfslam.adjustment.equations import Solver
 from mfslam.sparse_blocks import inverse_diagonal
 from mfslam.types import FloatArray, IntArray
 
@@ -24,13 +24,8 @@ class AdjustedInformation:
         carry, coarse = solver.coarse()
         self._carried = carry[: 3 * count]
         self._coarse = coarse / variance_scale
-        within = solver.within_stretches()
-        within[0, :3, :3] -= HELD * np.eye(3)  # the first pose plays as the others do: they are seen from it
-        own = np.linalg.inv(within)
-        size = own.shape[1]
-        blocks = own.reshape(len(own), size // 3, 3, size // 3, 3)
-        inner = np.arange(size // 3)
-        self._single = variance_scale * blocks[:, inner, :, inner, :].swapaxes(0, 1).reshape(-1, 3, 3)[:count]
+        # the first pose plays as the others do: they are seen from it
+        self._single = variance_scale * solver.play_within_stretches()[:count]
         # (K, 3) of each pose while its stretch is held
         self.single_variances = np.diagonal(self._single, axis1=1, axis2=2).copy()
         self._own = self._single

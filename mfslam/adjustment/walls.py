@@ -8,20 +8,21 @@ import numpy as np
 
 from mfslam.adjustment.equations import HalfMatrix
 from mfslam.kernels import wall_terms
-from mfslam.types import FloatArray, IntArray
+from mfslam.types import Float32Array, FloatArray, Int32Array, IntArray
 
 
 @dataclass(frozen=True, eq=False)
 class Walls:
     """Of K poses by M groups of points on ``patches`` patches, in order of poses: see `wall_terms.eliminate_lines`.
 
-    ``own`` (K, 3, 3), ``columns`` (M, 3, 2), ``scan_of`` and ``patch_of`` (M,).
+    ``own`` (K, 3, 3), ``columns`` (M, 3, 2), ``scan_of`` and ``patch_of`` (M,). Single precision is enough for the columns:
+    reading them is what a product costs, and the right-hand side, which says where the solution is, has none of it.
     """
 
     own: FloatArray
-    columns: FloatArray
-    scan_of: IntArray
-    patch_of: IntArray
+    columns: Float32Array | FloatArray
+    scan_of: Int32Array
+    patch_of: Int32Array
     patches: int
 
     def add_product(self, x: FloatArray, out: FloatArray) -> None:

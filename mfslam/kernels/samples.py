@@ -106,21 +106,26 @@ def _call_adjustment() -> None:
     table = cells.build_cells(np.hstack([points, normals]), 0.25)
     count, scan = len(points), np.zeros((1, 3))
     first = np.array([0, count])
+    placed = np.empty((count, 4))
+    wall_patches.place_scans(points, normals, first, scan, placed)
     patch, seen = partners.nothing_known(count)
     seeds = cells.build_cells(wall_patches.seed_patches(table, 0.25, 0.25), 0.25)
-    partners.find_partners(*seeds, 0.25, np.hstack([points, normals]), 0.25, 0.7, patch, seen)
-    size = len(seeds[1])
+    partners.find_partners(*seeds, 0.25, placed, 0.25, 0.7, patch, seen)
+    size, patch = len(seeds[1]), patch.astype(np.int32)
     lines = wall_patches.fit_patches(size, points, first, scan, patch, np.empty((0, 5)), 0.1)
     groups = wall_patches.group_sums(
         points, np.zeros((1, 2)), normals, first, scan, patch, lines, 0.02, 0.005, 0.1
     )
     scan_of, patch_of, sums = groups
-    own, columns, _ = wall_terms.eliminate_lines(1, size, scan_of, patch_of, sums)
+    terms = np.zeros((size, 6))
+    wall_terms.add_line_terms(patch_of, sums, terms)
+    own, columns, rhs = np.zeros((1, 3, 3)), np.empty((len(sums), 3, 2), np.float32), np.zeros((1, 3))
+    wall_terms.eliminate_lines(wall_terms.line_roots(terms), scan_of, patch_of, sums, own, columns, rhs)
     walls = own, columns, scan_of, patch_of
     one_pose, coarse_of, room = np.zeros((3, 1)), np.zeros(1, np.int64), np.zeros((2 * size, 1))
     wall_terms.add_wall_product(*walls, one_pose, room, np.zeros((3, 1)))
-    wall_terms.add_wall_stretches(*walls, size, 1, own, coarse_of, np.zeros((1, 3, 3)))
-    wall_terms.wall_blocks(*walls, size)
+    coarse = wall_terms.add_wall_stretches(*walls, size, 1, own, coarse_of, np.zeros((1, 3, 3)))
+    wall_terms.wall_blocks(*coarse, size)
 
 
 def _call_graph() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from mfslam.kernels.align import geman_mcclure
 from mfslam.kernels.cells import CellTable, cell_key, find_slot
 from mfslam.kernels.compiling import kernel
-from mfslam.types import FloatArray, IntArray
+from mfslam.types import FloatArray, Int32Array, IntArray
 
 ALIKE_COS = 0.85  # normals of one patch
 SUMS = 24  # of a group: see `group_sums`
@@ -50,8 +50,25 @@ def seed_patches(table: CellTable, cell: float, length: float) -> FloatArray:
 
 
 @kernel
+def place_scans(
+    points: FloatArray, normals: FloatArray, first: IntArray, poses: FloatArray, out: FloatArray
+) -> None:
+    """Points and normals (P, 2) of scans at ``poses`` (K, 3), those of scan k from row first[k] to first[k + 1], moved into
+    the world: rows x, y, nx, ny of ``out``, which begins with those of the first scan."""
+    n = 0
+    for k in range(poses.shape[0]):
+        c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        for i in range(first[k], first[k + 1]):
+            out[n, 0] = poses[k, 0] + c * points[i, 0] - s * points[i, 1]
+            out[n, 1] = poses[k, 1] + s * points[i, 0] + c * points[i, 1]
+            out[n, 2] = c * normals[i, 0] - s * normals[i, 1]
+            out[n, 3] = s * normals[i, 0] + c * normals[i, 1]
+            n += 1
+
+
+@kernel
 def fit_patches(
-    count: int, points: FloatArray, first: IntArray, poses: FloatArray, patch: IntArray, lines: FloatArray,
+    count: int, points: FloatArray, first: IntArray, poses: FloatArray, patch: Int32Array, lines: FloatArray,
     scale: float,
 ) -> FloatArray:  # fmt: skip
     """Line (S, 5) through the points of every patch: centre, unit normal, variance across it.
@@ -97,8 +114,8 @@ def fit_patches(
 @kernel
 def group_sums(
     points: FloatArray, origins: FloatArray, normals: FloatArray, first: IntArray, poses: FloatArray,
-    patch: IntArray, lines: FloatArray, range_sigma: float, patch_sigma: float, kernel_m: float,
-) -> tuple[IntArray, IntArray, FloatArray]:  # fmt: skip
+    patch: Int32Array, lines: FloatArray, range_sigma: float, patch_sigma: float, kernel_m: float,
+) -> tuple[Int32Array, Int32Array, FloatArray]:  # fmt: skip
     """Sums over each group: the points of one scan on one patch.
 
     The residual of a point is r = n . (T p - q), under a Geman-McClure kernel of scale ``kernel_m``. It varies by the part of ``range_sigma`` across the wall
@@ -116,7 +133,7 @@ def group_sums(
             if patch[i] >= 0 and group[patch[i]] != k:
                 group[patch[i]] = k
                 total += 1
-    scan_of, patch_of = np.empty(total, np.int64), np.empty(total, np.int64)
+    scan_of, patch_of = np.empty(total, np.int32), np.empty(total, np.int32)
     sums = np.zeros((total, SUMS))
     group[:] = -1
     size = np.zeros(lines.shape[0], np.int64)

@@ -9,70 +9,75 @@ import math
 
 import numpy as np
 
-from mfslam.kernels.compiling import helper, kernel
-from mfslam.types import FloatArray, IntArray
+from mfslam.kernels.compiling import kernel
+from mfslam.types import Float32Array, FloatArray, Int32Array, IntArray
 
 
-@helper
-def _roots(patches: int, patch_of: IntArray, sums: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Per patch the lower triangle (3) of a root of the inverse of the line's block, zero where fewer than
-    two scans saw it; and that root's transpose times the line's gradient (2)."""
-    block, gradient = np.zeros((patches, 3)), np.zeros((patches, 2))
-    scans = np.zeros(patches, np.int64)
+@kernel
+def add_line_terms(patch_of: Int32Array, sums: FloatArray, terms: FloatArray) -> None:
+    """Add groups (M,) to the ``terms`` (Q, 6) of the lines of their patches: block (3), gradient (2), number of scans."""
     for g in range(patch_of.shape[0]):
         q = patch_of[g]
-        scans[q] += 1
         for u in range(3):
-            block[q, u] += sums[g, 12 + u]
-        for u in range(2):
-            gradient[q, u] += sums[g, 18 + u]
-    root, rooted = np.zeros((patches, 3)), np.zeros((patches, 2))
-    for q in range(patches):
-        a, b, d = block[q, 0], block[q, 1], block[q, 2]
+            terms[q, u] += sums[g, 12 + u]
+        terms[q, 3] += sums[g, 18]
+        terms[q, 4] += sums[g, 19]
+        terms[q, 5] += 1.0
+
+
+@kernel
+def line_roots(terms: FloatArray) -> FloatArray:
+    """Per patch (Q, 5) the lower triangle (3) of a root of the inverse of the line's block, zero where fewer than
+    two scans saw it; and that root's transpose times the line's gradient (2)."""
+    out = np.zeros((terms.shape[0], 5))
+    for q in range(terms.shape[0]):
+        a, b, d = terms[q, 0], terms[q, 1], terms[q, 2]
         det = a * d - b * b
-        if scans[q] < 2 or not det > 1e-9 * a * d:
+        if terms[q, 5] < 2.0 or not det > 1e-9 * a * d:
             continue
-        root[q, 0] = math.sqrt(d / det)
-        root[q, 1] = -b / det / root[q, 0]
-        root[q, 2] = math.sqrt(max(0.0, a / det - root[q, 1] * root[q, 1]))
-        rooted[q, 0] = root[q, 0] * gradient[q, 0] + root[q, 1] * gradient[q, 1]
-        rooted[q, 1] = root[q, 2] * gradient[q, 1]
-    return root, rooted
+        out[q, 0] = math.sqrt(d / det)
+        out[q, 1] = -b / det / out[q, 0]
+        out[q, 2] = math.sqrt(max(0.0, a / det - out[q, 1] * out[q, 1]))
+        out[q, 3] = out[q, 0] * terms[q, 3] + out[q, 1] * terms[q, 4]
+        out[q, 4] = out[q, 2] * terms[q, 4]
+    return out
 
 
 @kernel
 def eliminate_lines(
-    scans: int, patches: int, scan_of: IntArray, patch_of: IntArray, sums: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Schur complement of `wall_patches.group_sums` by the patches' lines, factorised.
+    roots: FloatArray, scan_of: Int32Array, patch_of: Int32Array, sums: FloatArray, own: FloatArray,
+    columns: Float32Array, rhs: FloatArray,
+) -> None:  # fmt: skip
+    """Schur complement of `wall_patches.group_sums` by the patches' lines (`line_roots`), factorised.
 
-    Returns ``own`` (K, 3, 3), the ``columns`` (M, 3, 2) of the groups, and the right-hand side (K, 3): the information
+    Fills ``columns`` (M, 3, 2) of the groups, adds to ``own`` (K, 3, 3) and the right-hand side (K, 3): the information
     of poses k and l is [k = l] own_k less, over the patches, the sum of column_kq column_lq^T.
     """
-    root, rooted = _roots(patches, patch_of, sums)
-    own, columns, rhs = np.zeros((scans, 3, 3)), np.zeros((patch_of.shape[0], 3, 2)), np.zeros((scans, 3))
     for g in range(patch_of.shape[0]):
         q, k = patch_of[g], scan_of[g]
-        if root[q, 0] == 0.0:
-            continue
+        r0, r1, r2, t0, t1 = roots[q, 0], roots[q, 1], roots[q, 2], roots[q, 3], roots[q, 4]
         for u in range(3):
-            columns[g, u, 0] = sums[g, 6 + u] * root[q, 0] + sums[g, 9 + u] * root[q, 1]
-            columns[g, u, 1] = sums[g, 9 + u] * root[q, 2]
-            rhs[k, u] += sums[g, 15 + u] - columns[g, u, 0] * rooted[q, 0] - columns[g, u, 1] * rooted[q, 1]
+            c0 = sums[g, 6 + u] * r0 + sums[g, 9 + u] * r1
+            c1 = sums[g, 9 + u] * r2
+            columns[g, u, 0], columns[g, u, 1] = c0, c1
+            if r0 != 0.0:
+                rhs[k, u] += sums[g, 15 + u] - c0 * t0 - c1 * t1
+        if r0 == 0.0:
+            continue
         own[k, 0, 0] += sums[g, 0]
-        own[k, 0, 1] += sums[g, 1]
-        own[k, 0, 2] += sums[g, 2]
         own[k, 1, 1] += sums[g, 3]
-        own[k, 1, 2] += sums[g, 4]
         own[k, 2, 2] += sums[g, 5]
-    for k in range(scans):
-        own[k, 1, 0], own[k, 2, 0], own[k, 2, 1] = own[k, 0, 1], own[k, 0, 2], own[k, 1, 2]
-    return own, columns, rhs
+        own[k, 0, 1] += sums[g, 1]
+        own[k, 1, 0] += sums[g, 1]
+        own[k, 0, 2] += sums[g, 2]
+        own[k, 2, 0] += sums[g, 2]
+        own[k, 1, 2] += sums[g, 4]
+        own[k, 2, 1] += sums[g, 4]
 
 
 @kernel
 def add_wall_product(
-    own: FloatArray, columns: FloatArray, scan_of: IntArray, patch_of: IntArray, x: FloatArray, seen: FloatArray,
+    own: FloatArray, columns: Float32Array, scan_of: Int32Array, patch_of: Int32Array, x: FloatArray, seen: FloatArray,
     out: FloatArray,
 ) -> None:  # fmt: skip
     """out += A x, of R vectors at once: ``x``, ``out`` (3 N, R), N >= K. ``seen`` (2 Q, R) zeros: room for what the
@@ -102,9 +107,9 @@ def add_wall_product(
 
 @kernel
 def add_wall_stretches(
-    own: FloatArray, columns: FloatArray, scan_of: IntArray, patch_of: IntArray, patches: int, size: int,
+    own: FloatArray, columns: Float32Array, scan_of: Int32Array, patch_of: Int32Array, patches: int, size: int,
     carried: FloatArray, coarse_of: IntArray, within: FloatArray,
-) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray, Int32Array, Int32Array]:  # fmt: skip
     """The same matrix on two levels, as `half_matrix.add_stretches`.
 
     Adds the diagonal blocks of each stretch of ``size`` poses to ``within``. Returns the matrix of the coarse unknowns in the
@@ -112,25 +117,29 @@ def add_wall_stretches(
     """
     groups, scans = patch_of.shape[0], own.shape[0]
     coarse_own = np.zeros((coarse_of[scans - 1] + 1, 3, 3))
-    coarse_columns = np.zeros((groups, 3, 2))
-    coarse_scan, coarse_patch = np.empty(groups, np.int64), np.empty(groups, np.int64)
-    slot = np.full(
-        patches, -1, np.int64
-    )  # the coarse column of each patch, of the stretch that is being filled
-    newest, older = (
-        np.full(patches, -1, np.int64),
-        np.full(groups, -1, np.int64),
-    )  # groups by patch, a linked list
+    # the stretch in which each patch was seen last, and its coarse column there; groups by patch, a linked list
+    latest, slot = np.full(patches, -1, np.int64), np.empty(patches, np.int64)
+    newest, older = np.full(patches, -1, np.int64), np.empty(groups, np.int32)
+    count = 0
+    for g in range(groups):
+        c, q = coarse_of[scan_of[g]], patch_of[g]
+        if latest[q] != c:
+            latest[q] = c
+            count += 1
+    coarse_columns = np.zeros((count, 3, 2))
+    coarse_scan, coarse_patch = np.empty(count, np.int32), np.empty(count, np.int32)
+    for q in range(patches):
+        latest[q] = -1
     count = 0
     for g in range(groups):
         k, q = scan_of[g], patch_of[g]
         older[g] = newest[q]
         newest[q] = g
-        at = slot[q]
-        if at < 0 or coarse_scan[at] != coarse_of[k]:
-            at = count
-            slot[q], coarse_scan[at], coarse_patch[at] = at, coarse_of[k], q
+        if latest[q] != coarse_of[k]:
+            latest[q], slot[q] = coarse_of[k], count
+            coarse_scan[count], coarse_patch[count] = coarse_of[k], q
             count += 1
+        at = slot[q]
         for u in range(3):
             for v in range(2):
                 coarse_columns[at, u, v] += (
@@ -143,8 +152,9 @@ def add_wall_stretches(
         while h >= 0 and scan_of[h] // size == stretch:
             column = 3 * (scan_of[h] % size)
             for u in range(3):
+                a0, a1 = np.float64(columns[g, u, 0]), np.float64(columns[g, u, 1])
                 for v in range(3):
-                    term = columns[g, u, 0] * columns[h, v, 0] + columns[g, u, 1] * columns[h, v, 1]
+                    term = a0 * columns[h, v, 0] + a1 * columns[h, v, 1]
                     within[stretch, row + u, column + v] -= term
                     if h != g:
                         within[stretch, column + v, row + u] -= term
@@ -167,12 +177,12 @@ def add_wall_stretches(
                     + carried[k, 1, u] * half[1, v]
                     + carried[k, 2, u] * half[2, v]
                 )
-    return coarse_own, coarse_columns[:count], coarse_scan[:count], coarse_patch[:count]
+    return coarse_own, coarse_columns, coarse_scan, coarse_patch
 
 
 @kernel
 def wall_blocks(
-    own: FloatArray, columns: FloatArray, scan_of: IntArray, patch_of: IntArray, patches: int
+    own: FloatArray, columns: FloatArray, scan_of: Int32Array, patch_of: Int32Array, patches: int
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """The matrix as blocks between all pairs of scans that saw a patch: the lower half, as `half_matrix.add_product`
     takes one. Groups come in order of scans."""
@@ -222,8 +232,7 @@ def wall_blocks(
                     slot[other] = b
                     column[b] = other
                 for u in range(3):
+                    a0, a1 = np.float64(columns[g, u, 0]), np.float64(columns[g, u, 1])
                     for v in range(3):
-                        blocks[b, u, v] -= (
-                            columns[g, u, 0] * columns[h, v, 0] + columns[g, u, 1] * columns[h, v, 1]
-                        )
+                        blocks[b, u, v] -= a0 * columns[h, v, 0] + a1 * columns[h, v, 1]
     return first, column, blocks

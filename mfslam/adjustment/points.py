@@ -1,0 +1,58 @@
+"""The points of all keyframes, one after the other: they are in memory once, whoever reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mfslam.kernels import wall_patches
+from mfslam.types import DeskewedScan, FloatArray, IntArray
+
+CHUNK_POINTS = (
+    500_000  # that are worked on at a time: what is made of them on the way takes several times their memory
+)
+
+NO_BEAMS = np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPoints:
+    """``points_m``, ``normals`` (P, 2) in the frame of their scan, rows ``first`` (K + 1,) of the scans, and the lasers
+    ``origins_m`` (K, 2) in those frames."""
+
+    points_m: FloatArray
+    normals: FloatArray
+    first: IntArray
+    origins_m: FloatArray
+
+    @classmethod
+    def of(cls, scans: Iterable[DeskewedScan], most: int, origins_m: FloatArray) -> ScanPoints:
+        """Of scans with ``most`` points in all at most."""
+        # memory is taken as it is filled, not here
+        points_m, normals = np.empty((most, 2)), np.empty((most, 2))
+        first = np.zeros(len(origins_m) + 1, np.int64)
+        for k, scan in enumerate(scans):
+            first[k + 1] = first[k] + len(scan.points_m)
+            points_m[first[k] : first[k + 1]] = scan.points_m
+            normals[first[k] : first[k + 1]] = scan.normals
+        return cls(points_m[: first[-1]], normals[: first[-1]], first, origins_m)
+
+    def scan(self, k: int) -> DeskewedScan:
+        """A view of scan ``k``, to be matched against: without the beams that its points came from."""
+        rows = slice(self.first[k], self.first[k + 1])
+        return DeskewedScan(0, self.points_m[rows], self.normals[rows], NO_BEAMS)
+
+    def chunks(self) -> Sequence[slice]:
+        """Scans, some at a time: all of them where they are not too many."""
+        cuts = np.searchsorted(self.first, np.arange(0, self.first[-1], CHUNK_POINTS)).tolist()
+        ends = [*cuts[1:], len(self.origins_m)]
+        return [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+
+    def placed(self, poses: FloatArray, scans: slice) -> FloatArray:
+        """(N, 4) points of some scans in the world, rows x, y, nx, ny, with all scans at ``poses`` (K, 3)."""
+        first = self.first[scans.start : scans.stop + 1]
+        out = np.empty((int(first[-1] - first[0]), 4))
+        wall_patches.place_scans(self.points_m, self.normals, first, poses[scans], out)
+        return out
