@@ -139,7 +139,6 @@ class Solver:
         self._parts: list[Part] = []
         self._coarse: Any = None
         self._own: Float32Array | None = None  # (C, 3 size, 3 size) inverse of each stretch's block
-        self._first_block: FloatArray | None = None
         self._precondition: Callable[[FloatArray], FloatArray] = np.copy
 
     def forget(self) -> None:
@@ -162,7 +161,7 @@ class Solver:
         ]
         filled_up = np.arange(3 * unknowns, count * size) % size
         within[-1, filled_up, filled_up] = 1.0
-        self._coarse, self._first_block = sum(part.whole() for part in coarse), within[0].copy()
+        self._coarse = sum(part.whole() for part in coarse)
         factors: Any = splu(  # the matrix is symmetric: its rows are its columns
             self._coarse.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
@@ -186,17 +185,14 @@ class Solver:
         return self._carry, self._coarse
 
     def play_within_stretches(self) -> FloatArray:
-        """(U, 3, 3) covariance of each unknown while all that are not of its stretch are held; what holds the first of them
-        has no say."""
-        assert self._own is not None and self._first_block is not None
-        first = self._first_block.copy()
-        first[:3, :3] -= HELD * np.eye(3)
-        count, inner = len(self._own), np.arange(self._size)
-        blocks = self._own.reshape(count, self._size, 3, self._size, 3)[:, inner, :, inner, :]
-        out = blocks.swapaxes(0, 1).reshape(-1, 3, 3).astype(np.float64)
-        of_first = np.linalg.inv(first).reshape(self._size, 3, self._size, 3)[inner, :, inner, :]
-        out[: self._size] = of_first
-        return np.asarray(out[: len(self._coarse_of)])
+        """(U, 3, 3) covariance of each unknown while all that are not of its stretch are held. The first of them is held
+        itself, and is said to play as the one after it."""
+        assert self._own is not None
+        inner = np.arange(self._size)
+        blocks = self._own.reshape(len(self._own), self._size, 3, self._size, 3)[:, inner, :, inner, :]
+        out = blocks.swapaxes(0, 1).reshape(-1, 3, 3)[: len(self._coarse_of)].astype(np.float64)
+        out[0] = out[1]
+        return out
 
     def _times(self, x: FloatArray) -> FloatArray:
         out = np.zeros_like(x)
