@@ -127,7 +127,7 @@ class MotionSources:
                     "the wheels' pose begins again at its origin: that step was left to the scans",
                     f"{time_s:.3f} s from the start",
                 )
-                corrected, broken = track.odom_T_body[-1], True
+                corrected, broken = track.odom_T_body[-1].copy(), True
             else:
                 step = poses.between(self._told_T_body, odom_T_body)
                 corrected = poses.compose(track.odom_T_body[-1], self.wheel_errors.corrected(step))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import math
+from array import array
 
 import numpy as np
 
@@ -21,8 +22,8 @@ class OdometryTrack:
 
     def __init__(self, config: OdometryConfig | None = None) -> None:
         self._config = config or OdometryConfig()
-        self.times_s: list[float] = []
-        self.odom_T_body: list[FloatArray] = []
+        self.times_s = array("d")
+        self._odom_T_body = np.empty((64, 3))
         self.backwards_s = 0.0  # largest step back of a stamp
         self.has_moved = False
         self._breaks: list[tuple[float, float]] = []  # knots before and after each jump of the counters
@@ -33,7 +34,7 @@ class OdometryTrack:
         if self.times_s and time_s < self.times_s[-1]:
             self.backwards_s = max(self.backwards_s, self.times_s[-1] - time_s)
             time_s = self.times_s[-1]
-        if self.odom_T_body:
+        if self.times_s:
             if not self.has_moved:
                 self.has_moved = bool(np.max(np.abs(odom_T_body - self.odom_T_body[0])) > 1e-3)
             # stamps in bursts are no proof of speed: at least twice the usual time between two readings
@@ -42,8 +43,15 @@ class OdometryTrack:
             x, y, theta = poses.between(self.odom_T_body[-1], odom_T_body).tolist()
             if broken or not is_plausible((x / span_s, y / span_s, theta / span_s), self._config):
                 self._breaks.append((self.times_s[-1], time_s))
+        if len(self) == len(self._odom_T_body):
+            self._odom_T_body = np.concatenate([self._odom_T_body, np.empty_like(self._odom_T_body)])
+        self._odom_T_body[len(self)] = odom_T_body
         self.times_s.append(time_s)
-        self.odom_T_body.append(odom_T_body)
+
+    @property
+    def odom_T_body(self) -> FloatArray:
+        """(N, 3) the poses so far."""
+        return self._odom_T_body[: len(self.times_s)]
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -51,13 +59,12 @@ class OdometryTrack:
     def pose_at(self, time_s: float) -> FloatArray:
         """Pose on the track (3,), constant twist between knots, held at both ends (eq. 16)."""
         k = bisect.bisect_right(self.times_s, time_s)
-        if k == 0:
-            return self.odom_T_body[0]
-        if k == len(self.times_s):
-            return self.odom_T_body[-1]
+        if k == 0 or k == len(self.times_s):
+            at_end: FloatArray = self._odom_T_body[max(0, k - 1)].copy()
+            return at_end
         t0, t1 = self.times_s[k - 1], self.times_s[k]
         pose: FloatArray = poses.interpolate(
-            self.odom_T_body[k - 1], self.odom_T_body[k], (time_s - t0) / (t1 - t0)
+            self._odom_T_body[k - 1], self._odom_T_body[k], (time_s - t0) / (t1 - t0)
         )
         return pose
 

@@ -236,6 +236,7 @@ class Slam:
         self.loops.release()
         if self.config.refine.passes and len(self.keyframes) > 1:
             edges = self._adjust(edges, tell)
+            give_memory_back()
         else:
             with self.clock.time("final solve"):
                 edges = self.graph.optimize_satisfied(edges)
