@@ -22,6 +22,7 @@ from mfslam.commands.watching import Watching, open_viewer
 from mfslam.config import Config
 from mfslam.live.engine import LiveSlam
 from mfslam.live.intake import Intake, from_sensors
+from mfslam.live.latency import switch_quickly
 from mfslam.live.state import LiveState
 from mfslam.live.words import Finished
 from mfslam.output import check_writable, json_text, run_folder, write_atomically
@@ -87,6 +88,7 @@ class Drive:
     def run(self) -> tuple[Finished, LiveState]:
         """Map until Ctrl-C, SIGTERM, or the end of the duration; then solve and write the folder."""
         status = StatusLine(self.args.quiet)
+        switch_quickly()
         with ExitStack() as stack:
             viewer = open_viewer(self.place, self.folder, status.tell, stack)
             status.tell("starting engine and sensors ...")

@@ -20,7 +20,8 @@ from mfslam.commands.view import place_of
 from mfslam.commands.watching import Watching, open_viewer
 from mfslam.live.engine import LiveSlam
 from mfslam.live.intake import AHEAD_SCANS, Intake, paced
-from mfslam.live.mapper import peak_mb
+from mfslam.live.latency import switch_quickly
+from mfslam.live.memory import peak_mb
 from mfslam.live.state import LiveState
 from mfslam.live.words import Finished
 from mfslam.output import json_text, run_folder, write_atomically
@@ -30,6 +31,7 @@ from mfslam.types import MfslamError, Scan
 
 
 def run(args: argparse.Namespace) -> int:
+    switch_quickly()
     config = config_for(args.log, args)
     speed = speed_of(args.speed)
     progress = Progress(args.quiet)
@@ -109,12 +111,14 @@ def leave_online(
     poses = np.array([pose for _, pose in told]).reshape(-1, 3)
     write_atomically(folder / "live.tum", trajectory_text(stamps, poses).encode())
     write_atomically(folder / "online.tum", trajectory_text(finished.stamps_ns, finished.online).encode())
-    first_mb, mapped_mb, most_mb = finished.memory_mb
-    travelled_m = max(float(finished.summary["distances"]["travelled_m"]), 1.0)
+    assert finished.memory is not None
+    held, travelled_m = finished.memory, max(float(finished.summary["distances"]["travelled_m"]), 1.0)
     memory = {
         "engine_mb": peak_mb(),
-        "back_end_mb": most_mb,
-        "back_end_kb_per_m": 1024.0 * (mapped_mb - first_mb) / travelled_m,
+        "back_end_mapping_mb": held.mapping,
+        "back_end_kb_per_m": 1024.0 * (held.mapping - held.first) / travelled_m,
+        "copies_mb": held.copies,
+        "back_end_mb": held.most,
     }
     figures = {
         "counts": state.counts,

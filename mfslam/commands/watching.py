@@ -74,7 +74,7 @@ class Watching:
 
     def _figures(self, health: list[dict[str, Any]]) -> str:
         state = self.slam.counts(0)
-        latency_ms = self.slam.latency_ms().get("p99")
+        latency_ms = self.slam.latency.as_ms().get("p99")
         late = "" if latency_ms is None else f", pose within {latency_ms:.0f} ms"
         told = f"{time.monotonic() - self._begun_s:6.0f} s, {state['scans']} scans, {state['keyframes']} keyframes{late}"
         return "; ".join([told, *map(describe, health)])

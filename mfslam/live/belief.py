@@ -16,13 +16,14 @@ from mfslam.types import FloatArray, IntArray, OccupancyGrid
 @dataclass(frozen=True, eq=False)
 class Refined:
     """What a copy of the engine found: keyframes (K, 3), all scans until then (S, 3) at their stamps, covariance (3, 3)
-    of the last keyframe, the map."""
+    of the last keyframe, the map. ``peak_mb``: that the copy held."""
 
     keyframes: FloatArray
     scans: FloatArray
     covariance: FloatArray
     grid: OccupancyGrid | None
     error: str | None = None
+    peak_mb: float = 0.0
 
 
 class Belief:

@@ -17,8 +17,10 @@ from mfslam import se2
 from mfslam.config import Config
 from mfslam.deskew import deskew, reference_offset_s
 from mfslam.kernels.warm_up import compile_once
+from mfslam.live.latency import Latency
 from mfslam.live.link import Link
 from mfslam.live.mapper import in_world
+from mfslam.live.memory import forget_peak
 from mfslam.live.pressure import RELAX_AT_S, Pressure
 from mfslam.live.state import LiveState
 from mfslam.live.tracking import Tracked, Tracker
@@ -35,7 +37,6 @@ from mfslam.types import (
     Scan,
 )
 
-LATENCIES = 20_000  # of the newest scans, for the percentiles
 WISH_S = 120.0
 START_S = 60.0  # that a back end may take to start and to read what waits
 
@@ -63,11 +64,7 @@ class LiveSlam:
         self.local_T_body, self.world_T_body = np.zeros(3), np.zeros(3)  # at the newest scan's stamp
         self._local_T_reference = np.zeros(3)  # at the instant that its points are carried to
         self.grid: OccupancyGrid | None = None
-        self.latency_s: deque[float] = deque(maxlen=LATENCIES)
-        self.cpu_s: deque[float] = deque(
-            maxlen=LATENCIES
-        )  # the same without what others had of the processor
-        self.worst_latency_s = 0.0
+        self.latency = Latency()
         self._tracker = Tracker(config)
         self._packer = Packer()
         self._newest: Tracked | None = None
@@ -85,6 +82,7 @@ class LiveSlam:
         self._tell = tell
         compile_once(tell)
         warm_up(config)
+        forget_peak()
         self._link = Link(Job(config, folder, map_every_s), self._hear)
 
     def __enter__(self) -> Self:
@@ -110,14 +108,11 @@ class LiveSlam:
             self._tracker.note(message)
             self._link.journal.append((-1, self._packer.pack(message)))
             return None
-        began_s, cpu_began_s = time.perf_counter(), time.thread_time()
         number, self._scans = self._scans, self._scans + 1
-        pose = self._place(message) if place else None
-        took_s = time.perf_counter() - began_s
+        pose = None
         if place:
-            self.latency_s.append(took_s)
-            self.cpu_s.append(time.thread_time() - cpu_began_s)
-            self.worst_latency_s = max(self.worst_latency_s, took_s)
+            with self.latency:
+                pose = self._place(message)
         self._apply_correction()
         behind_s = self.behind_s
         if not self.may_thin or not self._came_up or self.pressure.goes_to_map(number, behind_s):
@@ -212,7 +207,7 @@ class LiveSlam:
         return LiveState(
             stamp_ns, self.world_T_body, self.local_T_body, self.covariance, points,
             np.zeros((0, 3)) if applied is None else applied.keyframes, loops, self.grid, list(health),
-            self.counts(len(loops)), self.latency_ms(), self.notes(),
+            self.counts(len(loops)), self.latency.as_ms(), self.notes(),
         )  # fmt: skip
 
     def counts(self, loops: int) -> dict[str, int]:
@@ -225,14 +220,6 @@ class LiveSlam:
             "keyframe_spacing_percent": round(100 * self.pressure.spacing),
             "back_end_restarts": self._link.restarts,
         }
-
-    def latency_ms(self) -> dict[str, float]:
-        if not self.latency_s:
-            return {}
-        median, p99 = np.percentile(np.array(self.latency_s), [50.0, 99.0]) * 1e3
-        cpu_p99 = 1e3 * float(np.percentile(np.array(self.cpu_s), 99.0))
-        worst = 1e3 * self.worst_latency_s
-        return {"median": float(median), "p99": float(p99), "worst": worst, "cpu_p99": cpu_p99}
 
     def notes(self) -> list[str]:
         known = [] if self._applied is None else self._applied.notes

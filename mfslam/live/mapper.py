@@ -4,7 +4,6 @@ that refine and draw."""
 from __future__ import annotations
 
 import os
-import resource
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -20,7 +19,8 @@ from drivers.base import LogInfo
 from mfslam import se2
 from mfslam.config import Config
 from mfslam.live.belief import Belief, Refined
-from mfslam.live.words import Corrected, Finish, Finished, Granted, Wish
+from mfslam.live.memory import forget_peak, peak_mb
+from mfslam.live.words import Corrected, Finish, Finished, Granted, Memory, Wish
 from mfslam.mapping import render_map
 from mfslam.outcome import leave, outcome_of
 from mfslam.output.growing_map import write_growing_map
@@ -57,7 +57,7 @@ class Mapper:
         self._kept = 0
         self._copies: list[_Copy] = []
         self._blank: dict[int, Any] = {}
-        self._start_mb = 0.0
+        self._start_mb = self._copies_mb = 0.0
 
     # --- messages -----------------------------------------------------------------------------------
 
@@ -65,7 +65,9 @@ class Mapper:
         """The next message; ``number`` of a scan, -1 of anything else."""
         keyframes = len(self.slam.keyframes)
         if isinstance(message, Scan):
-            self._start_mb = self._start_mb or peak_mb()
+            if not self._numbers:
+                forget_peak()
+                self._start_mb = peak_mb()
             self._numbers.append(number)
         self.slam.feed(message)
         if isinstance(message, Scan) and len(self.slam.steps):
@@ -136,6 +138,7 @@ class Mapper:
             try:
                 ours.close()
                 os.nice(NICE)
+                forget_peak()
                 theirs.send(self._as_copy(wish))
                 status = 0
             finally:
@@ -159,6 +162,7 @@ class Mapper:
             self._copies.remove(copy)
             if found is not None and found.error is None:
                 # the copy has placed the scan that was waiting, too
+                self._copies_mb = max(self._copies_mb, found.peak_mb)
                 self._take(replace(found, keyframes=found.keyframes[: copy.keyframes]), copy.edges)
             out.append((found, copy.wish, time.monotonic() - copy.started_s))
         return out
@@ -182,7 +186,7 @@ class Mapper:
                 grid = outcome.result.grid
             else:
                 grid = self._draw(solution)
-            return Refined(keyframes, solution.world_T_body, covariance, grid)
+            return Refined(keyframes, solution.world_T_body, covariance, grid, peak_mb=peak_mb())
         except MfslamError as error:
             return Refined(nothing, nothing, np.zeros((3, 3)), None, str(error))
 
@@ -228,7 +232,7 @@ class Mapper:
             online,
             solution.world_T_body,
             outcome.result.grid,
-            (self._start_mb, mapped_mb, peak_mb()),
+            Memory(self._start_mb, mapped_mb, peak_mb(), self._copies_mb),
         )
 
     def _outcome(self, solution: Solution, word: Finish, interrupted: bool = False) -> Any:
@@ -237,11 +241,6 @@ class Mapper:
             findings.add(code, text, where, count)
         info = LogInfo(word.source, word.format)
         return outcome_of(self.slam, solution, self.config, info, findings, interrupted, 0.0)
-
-
-def peak_mb() -> float:
-    """What this process held at most until now."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 def carried(covariance: FloatArray, edges: Sequence[Edge]) -> FloatArray:

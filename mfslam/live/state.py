@@ -19,8 +19,8 @@ class LiveState:
     keyframe pairs that loops in use join. ``grid``: the newest map, another object when there is a newer one; None
     before the first. ``health``: `SensorHealth.as_json` of each sensor, none in a replay. ``counts``: scans, keyframes,
     loops, scans_waiting (for the map), scans_dropped, keyframe_spacing_percent (100 as configured), back_end_restarts.
-    ``latency_ms``: from a scan's being handed over to its pose: median, p99 and worst, and cpu_p99, of the processor
-    alone. ``notes``: findings in words, the newest last.
+    ``latency_ms``: from a scan's being handed over to its pose: see `Latency.as_ms`.
+    ``notes``: findings in words, the newest last.
     """
 
     stamp_ns: int

@@ -90,12 +90,22 @@ class Told:
     text: str
 
 
+@dataclass(frozen=True)
+class Memory:
+    """Of the back end, MB: when the first scan came, at most until the final solve, and until the end; of a copy at most."""
+
+    first: float
+    mapping: float
+    most: float
+    copies: float
+
+
 @dataclass(frozen=True, eq=False)
 class Finished:
     """The end: `Outcome.summary` and the findings in words, or the error in one line.
 
     ``stamps_ns`` (S,), ``online`` (S, 3): every scan as the graph had it before the final solve; ``world_T_body`` (S, 3)
-    after it. ``grid``: the map. ``memory_mb``: of the back end, when the first scan came, before the final solve, and at most.
+    after it. ``grid``: the map.
     """
 
     summary: dict[str, Any] = field(default_factory=dict)
@@ -104,5 +114,5 @@ class Finished:
     online: FloatArray | None = None
     world_T_body: FloatArray | None = None
     grid: OccupancyGrid | None = None
-    memory_mb: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    memory: Memory | None = None
     error: str | None = None

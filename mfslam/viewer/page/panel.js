@@ -3,7 +3,7 @@
 import { ellipse, headingSpread } from "./drawing.js";
 
 const $ = (id) => document.getElementById(id);
-const NAMES = { median: "median", p99: "99 % below", worst: "worst", latest: "latest", cpu_p99: "99 %, processor alone" };
+const NAMES = { median: "median", p99: "99 % below", worst: "worst", latest: "latest", cpu_p99: "99 %, processor alone", cpu_worst: "worst, processor alone" };
 
 // As much precision as helps a reader.
 const brief = (value) => {
