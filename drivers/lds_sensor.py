@@ -101,7 +101,9 @@ def _driver(model: str) -> Any:
 
     driver = driver_for(model)
     if driver is None:
-        raise MfslamError(f"lds: no laser {model!r}; known: {', '.join(known)}")
+        raise MfslamError(
+            f"lds: no laser {model!r}; known: {', '.join(known)} (other RPLIDARs: rplidar:MODEL:DEVICE)"
+        )
     if driver.NEEDS_MOTOR:
         raise MfslamError(f"lds: {model}: its motor is driven by the host's pins, which mfslam does not do")
     return driver

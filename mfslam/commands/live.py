@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     sources = sources_of(args)
     if sources.lidar is None:
         raise MfslamError("expected --lidar: a map needs a laser (`mfslam record` records wheels alone)")
-    if args.map_every <= 0.0:
+    if not args.map_every > 0.0:
         raise MfslamError(f"--map-every {args.map_every:g}: expected more than 0 s")
     config = config_of(args, sources.map_settings())
     place = None if args.view is None else place_of(args)

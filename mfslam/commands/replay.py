@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     config = config_for(args.log, args)
     speed = speed_of(args.speed)
     progress = Progress(args.quiet)
-    if args.map_every <= 0.0:
+    if not args.map_every > 0.0:
         raise MfslamError(f"--map-every {args.map_every:g}: expected more than 0 s")
     place = None if args.view is None else place_of(args)
     with (

@@ -14,7 +14,7 @@ from mfslam.types import MfslamError
 
 def sources_of(args: argparse.Namespace) -> Sources:
     """The sensors that are named. Raises MfslamError."""
-    if args.duration is not None and args.duration <= 0.0:
+    if args.duration is not None and not args.duration > 0.0:
         raise MfslamError(f"--duration {args.duration:g}: expected more than 0 s")
     return Sources(args.lidar, args.wheels)
 

@@ -201,6 +201,7 @@ def test_a_full_disk_is_told_and_what_was_recorded_stays(tmp_path: Path) -> None
         (["--lidar", "sim:demo", "--wheels", "sim:arm"], "--wheels sim:arm: expected one of board:DEVICE"),
         (["--lidar", "sim:demo", "--wheels", "board:/dev/nowhere"], "board:/dev/nowhere: cannot be opened"),
         ([], "expected --lidar or --wheels"),
+        (["--lidar", "sim:demo", "--duration", "nan"], "--duration nan: expected more than 0 s"),
     ],
 )
 def test_what_is_not_there_is_one_line_and_no_file(tmp_path: Path, arguments: list[str], told: str) -> None:

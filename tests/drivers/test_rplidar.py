@@ -126,7 +126,7 @@ def test_one_that_still_measures_for_another_program_is_taken_over() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_flipped_bits_garbage_lost_bytes_and_a_pulled_cable(seed: int) -> None:
     once = (
-        LineFault(3.0, "garbage", 300), LineFault(4.0, "lost", 33), LineFault(5.0, "unplug", 1.0), LineFault(8.0, "stall", 0.5),
+        LineFault(3.0, "garbage", 300), LineFault(4.0, "lost", 33), LineFault(5.0, "unplug", 1.0),
     )  # fmt: skip
     rig = Rig("A2", LineFaults(1e-4, once), seed=seed)
     scans = rig.scans_until(115.0)
