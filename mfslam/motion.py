@@ -18,7 +18,7 @@ from mfslam.heading import HeadingTrack
 from mfslam.kernels import poses
 from mfslam.kinematics import WheelIntegrator
 from mfslam.odometry import OdometryTrack, begins_anew, is_jump
-from mfslam.stamps import ScanPace, StampClock
+from mfslam.stamps import ScanPace, StampClock, SteadyPace
 from mfslam.types import (
     Edge,
     Findings,
@@ -34,6 +34,7 @@ from mfslam.types import (
 from mfslam.wheel_errors import WheelErrors, WheelStep
 
 STARTED_M, STARTED_RAD = 0.5, 0.3  # wheels that still show nothing by then are not connected
+JITTER, TOLD_JITTER_S = "stamp-jitter", 0.003  # the finding, and what is worth it
 COUNTER_JUMP = "wheel-counter-jump"  # the finding of a step that was left out
 UNKNOWN_STEP = np.full(3, np.nan)
 LAG_S = 0.5  # odometry older than this says nothing of a scan
@@ -67,7 +68,7 @@ class MotionSources:
         self._with_scan: FloatArray | None = None  # corrected pose that came with the latest scan
         self._odom_T_body: list[FloatArray | None] = []  # at every scan
         self._clock = StampClock(findings)
-        self._pace = ScanPace()
+        self._bursts, self._pace = ScanPace(), SteadyPace()
         self._scan_s = self._scan_pause_s = 0.0  # the latest scan's time, and the pause before it
         self._next_gap_s: float | None = None  # from its stamp to that of the scan after it
 
@@ -180,6 +181,13 @@ class MotionSources:
             twist = np.array([twist[0], twist[1], turn_rad / dt_s])
         return PredictedMotion(twist, dt_s, step, turn_rad, self.wheel_errors.noise_scale, self._scan_pause_s)
 
+    def settle_times(self) -> None:
+        """At the end of a log, the instants of scans of a laser that turns steadily by the stamps after them, too."""
+        later_s = self._pace.settle()
+        if len(later_s) == len(self.times_s):
+            settled_s = np.array(self.times_s) + (1.0 - self.config.sensor.clock_drift) * later_s
+            self.times_s = np.maximum.accumulate(settled_s).tolist()
+
     @property
     def comes_with_scans(self) -> bool:
         """Whether each scan of the log bears the wheels' pose: put together by the recorder, by its own clock."""
@@ -240,13 +248,21 @@ class MotionSources:
         """When the scan was sensed, by its stamp; poses that came with scans are as late as they are."""
         if scan.odom_T_body is not None:
             return self._scan_s
-        sensed_s = self._pace.sensed_s(self._scan_s, self._next_gap_s)
+        sensed_s = self._bursts.sensed_s(self._scan_s, self._next_gap_s)
         if sensed_s < self._scan_s:
             self.findings.add(
                 "stamp-burst",
                 "scans come in bursts, stamped on arrival: those before the last of a burst were taken to be "
                 "sensed one usual step apart",
                 f"{scan.stamp_ns * 1e-9:.6f} s, {self._scan_s - sensed_s:.3f} s late",
+            )
+        sensed_s = self._pace.sensed_s(sensed_s)
+        if self._pace.jitter_s > TOLD_JITTER_S and not self.findings.count(JITTER):
+            self.findings.add(
+                JITTER,
+                f"stamps of scans scatter by {1e3 * self._pace.jitter_s:.0f} ms about the steady turn of the laser: each was "
+                "taken to be sensed in its turn",
+                f"{scan.stamp_ns * 1e-9:.6f} s",
             )
         return sensed_s - self.config.sensor.clock_drift * sensed_s
 

@@ -230,6 +230,7 @@ class Slam:
         self._place_waiting()
         if not self.scans:
             raise MfslamError("no scans: nothing to map")
+        self._motion.settle_times()
         tell("solving the graph")
         with self.clock.time("final solve"):
             edges = self.graph.optimize(self._motion.revised(self.graph.edges_to_judge()))

@@ -26,7 +26,21 @@ WINDOW_M, WINDOW_RAD = 1.0, 0.5
 MEMORY_M = 200.0  # what was learned fades over this distance: floors and loads change
 SURE_SIGMA_M = 0.1  # along the motion: a match less sure than this has held on to the wheels
 PRIOR_WINDOWS = 5.0  # measurements that the configured noise counts as
+INVERSE_ROUNDS = 3
 CONTRADICTION_SIGMAS = 3.0  # a step farther off the scans than this has slipped
+
+
+def as_told(true: FloatArray, errors: FloatArray) -> FloatArray:
+    """(N, 3) what wheels with systematic ``errors`` (N, 3), as in `WheelErrors.as_array`, tell of true steps (N, 3): the
+    inverse of `WheelErrors.corrected`."""
+    scale, turn_scale, drift = errors.T
+    x, y, theta = true.T
+    told_x, told_y = x / (1.0 + scale), y / (1.0 + scale)
+    for _ in range(INVERSE_ROUNDS):  # the turn that was added depends on what was told
+        turn = (theta - drift * told_x) / (1.0 + turn_scale)
+        c, s = (f(0.5 * (turn - theta)) / (1.0 + scale) for f in (np.cos, np.sin))
+        told_x, told_y = c * x - s * y, s * x + c * y
+    return np.stack([told_x, told_y, turn], axis=1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -98,12 +112,7 @@ class WheelErrors:
 
     def told(self, corrected: FloatArray) -> FloatArray:
         """The inverse of `corrected`: what the wheels told."""
-        step, turn, added = corrected, float(corrected[2]), 0.0
-        for _ in range(4):  # the turn that was added depends on what was told
-            step = self._bent(corrected, 1.0 / (1.0 + self.scale), -added)
-            turn = (float(corrected[2]) - self.drift_rad_per_m * float(step[0])) / (1.0 + self.turn_scale)
-            added = float(corrected[2]) - turn
-        return np.array([step[0], step[1], turn])
+        return np.asarray(as_told(corrected[None], self.as_array()[None])[0])
 
     @staticmethod
     def _bent(step: FloatArray, scale: float, added_rad: float) -> FloatArray:

@@ -35,6 +35,7 @@ ROOT = Path(__file__).resolve().parent.parent
 DOCUMENTED = {"exp2": ["wheels.track_m=0.33", "sensor.transport_delay_s=0"]}
 DOCUMENTED["exp3"] = DOCUMENTED["exp2"]
 STRETCH_M = 10.0
+MOUNT = ("mount_x", "mount_y", "mount_yaw")
 
 
 def mapped(path: Path, config: Config) -> tuple[Slam, Solution]:
@@ -46,10 +47,14 @@ def mapped(path: Path, config: Config) -> tuple[Slam, Solution]:
 
 
 def reckoned(slam: Slam, solution: Solution, law: WheelLaw, values: FloatArray, late_s: float) -> FloatArray:
-    """(S, 3) the body at every scan by the wheels alone."""
+    """(S, 3) the body at every scan by the wheels alone: by every step as told, which the engine may have called a jump."""
     record = record_of(slam, solution)
     assert record is not None
-    track = WheelTrack(record.knots_s, record.told_steps, law)
+    steps, told = record.told_steps, slam.motion.told_with_scans
+    if record.with_scans:
+        poses = np.array(told)
+        steps = np.vstack([np.zeros((1, 3)), se2.between(poses[:-1], poses[1:])])
+    track = WheelTrack(record.knots_s, steps, law)
     track.move(values)
     return track.at(record.times_s + late_s)
 
@@ -67,6 +72,12 @@ def laws(config: Config, found: Calibration, counts_wheels: bool) -> tuple[Wheel
     )
 
 
+def mount_found(found: Calibration) -> FloatArray:
+    """(3,) of the laser on the axle; what is not observable as assumed."""
+    x, y, yaw = (e.value if e.observable else e.before for e in map(found.__getitem__, MOUNT))
+    return np.array([x, y, np.radians(yaw)])
+
+
 def stretch_error_m(reference: FloatArray, poses: FloatArray) -> float:
     """Mean error (m) at the end of stretches of so much driving, both begun at the same pose."""
     steps = se2.between(reference[:-1], reference[1:])
@@ -82,21 +93,24 @@ def row_of(path: Path) -> list[str]:
     config = load([preset_path(p) for p in default_presets(path)], DOCUMENTED.get(name, []))
     found = calibrate_by_turns(lambda c: mapped(path, c), config, lambda: False, lambda _: None)
     if found is None:
-        return [name, "wheels do not speak of this robot, or too little motion", "-", "-"]
+        return [name, "wheels do not speak of this robot, or too little motion", "-", "-", "-"]
     slam, solution = mapped(path, config)
     law, values = laws(config, found, slam.motion.counts_wheels)
     late = [e.value - e.before for e in found.estimates if e.name == "delay" and e.observable]
     before = reckoned(slam, solution, law, law.start, 0.0)
-    after = reckoned(slam, solution, law, values, late[0] if late else 0.0)
+    # seen from the laser, the axle may be elsewhere than assumed
+    axle_T_body = se2.compose(mount_found(found), se2.inverse(slam.scans[0].laser.body_T_laser))
+    after = se2.compose(reckoned(slam, solution, law, values, late[0] if late else 0.0), axle_T_body)
+    surely = ", ".join(e.name.replace("_", " ") for e in found.significant) or "nothing"
     if relations_beside(path).is_file():
         relations = read_relations(relations_beside(path))
         errors = [
             relations_error(solution.stamps_ns, poses, relations).as_json() for poses in (before, after)
         ]
         means = [f"{e['translation_m']['mean']:.3f} m / {e['rotation_deg']['mean']:.2f} deg" for e in errors]
-        return [name, "relations, mean", *means]
+        return [name, "relations, mean", *means, surely]
     errors_m = [stretch_error_m(solution.world_T_reference, poses) for poses in (before, after)]
-    return [name, f"off after {STRETCH_M:g} m, mean", *(f"{e:.3f} m" for e in errors_m)]
+    return [name, f"off after {STRETCH_M:g} m, mean", *(f"{e:.3f} m" for e in errors_m), surely]
 
 
 def main() -> int:
@@ -114,9 +128,9 @@ def main() -> int:
         except MfslamError as error:
             if NO_LOG in str(error):
                 continue
-            rows.append([log_name(path), str(error).splitlines()[0], "-", "-"])
+            rows.append([log_name(path), str(error).splitlines()[0], "-", "-", "-"])
         print(*rows[-1], sep=" | ", flush=True)
-    table: Rows = [["log", "wheels alone", "before", "after"], *rows]
+    table: Rows = [["log", "wheels alone", "before", "after", "surely other than assumed"], *rows]
     print(as_text(table))
     if options.markdown:
         command = " ".join(["scripts/odometry_only.py", *sys.argv[1:]])

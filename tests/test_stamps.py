@@ -11,7 +11,7 @@ from mfslam.config import Config, ImuConfig
 from mfslam.heading import HeadingTrack
 from mfslam.motion import MotionSources
 from mfslam.odometry import OdometryTrack, begins_anew
-from mfslam.stamps import ScanPace, StampClock
+from mfslam.stamps import ScanPace, StampClock, SteadyPace
 from mfslam.types import Findings, Imu, Odometry, WheelTicks
 
 EPOCH_NS = 1_600_000_000_000_000_000
@@ -177,3 +177,32 @@ def test_the_gyro_tells_no_turn_over_a_clock_jump():
         track.add(0.01 * k, Imu(0, 1.0, None), after_gap=k == 50)
     assert track.turn(0.4, 0.6) is None
     assert track.turn(0.6, 0.9) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("jitter_s", [0.0, 0.005, 0.01])
+def test_scans_of_a_steady_laser_are_put_in_its_turn_whatever_their_stamps_scatter(jitter_s):
+    rng = np.random.default_rng(0)
+    turns = np.cumsum(rng.choice([1, 1, 1, 1, 2], 600))  # some scans are lost
+    true_s = 0.0987 * turns
+    pace = SteadyPace()
+    stamps_s = true_s + jitter_s * rng.standard_normal(600)
+    at_once_s = np.array([pace.sensed_s(float(t)) for t in stamps_s])
+    settled_s = at_once_s + pace.settle()
+    assert np.std((at_once_s - true_s)[128:]) <= 0.3 * jitter_s + 1e-9
+    assert np.std((settled_s - true_s)[64:-64]) <= 0.15 * jitter_s + 1e-9
+    np.testing.assert_allclose(pace.settle(), 0.0, atol=1e-12)
+
+
+def test_a_pace_that_wanders_by_itself_is_left_as_stamped():
+    stamps_s = np.cumsum(0.1 + 0.02 * np.random.default_rng(1).standard_normal(2000))
+    pace = SteadyPace()
+    off_s = np.array([pace.sensed_s(float(t)) for t in stamps_s]) - stamps_s
+    assert np.mean(off_s == 0.0) > 0.9
+    pace.settle()
+    assert np.mean(np.array(pace._sensed_s) == stamps_s) > 0.8
+
+
+def test_after_a_pause_the_turning_is_learned_anew():
+    stamps_s = np.concatenate([0.1 * np.arange(100), 30.037 + 0.1 * np.arange(100)])
+    pace = SteadyPace()
+    np.testing.assert_allclose([pace.sensed_s(float(t)) for t in stamps_s], stamps_s, atol=1e-9)

@@ -13,7 +13,7 @@ from mfslam.adjustment.equations import Solver
 from mfslam.config import OdometryConfig
 from mfslam.odometry import step_sigmas
 from mfslam.types import FloatArray, IntArray
-from mfslam.wheel_errors import MEMORY_M, WheelStep
+from mfslam.wheel_errors import MEMORY_M, WheelStep, as_told
 
 WINDOW_M, WINDOW_RAD = 1.0, 0.5  # of driving, over which the wheels' noise is counted: slip lasts for a while
 KERNEL_SIGMAS = 3.0  # of the Cauchy kernel on wheel steps
@@ -76,20 +76,12 @@ class WheelTerms:
         out[:, 1] += (0.5 * self.told[:, 0] * added) ** 2
         return out
 
-    def as_told(self, moved: FloatArray, errors: FloatArray) -> FloatArray:
-        """(N, 3) what wheels with systematic ``errors`` (W, 3) tell of the true steps (N, 3): the inverse of
-        `WheelErrors.corrected`. The true steps are the ones to go from: noise in what is told would make its own
-        errors look systematic."""
-        scale, turn_scale, drift = errors[self.stretch].T
-        x, y, theta = moved.T
-        told = (theta - drift * x / (1.0 + scale)) / (1.0 + turn_scale)
-        c, s = np.cos(0.5 * (told - theta)) / (1.0 + scale), np.sin(0.5 * (told - theta)) / (1.0 + scale)
-        return np.stack([c * x - s * y, s * x + c * y, told], axis=1)
-
     def error(self, poses: FloatArray, errors: FloatArray) -> FloatArray:
-        """(N, 3) of what was told against poses (K, 3), in the frame of the later one."""
+        """(N, 3) of what was told against what wheels with ``errors`` (W, 3) tell between poses (K, 3), in the frame of the
+        later one. The true steps are the ones to go from: noise in what is told would make its own errors look
+        systematic."""
         moved = se2.between(poses[self.i], poses[self.j])
-        return se2.log(se2.between(self.told, self.as_told(moved, errors)))
+        return se2.log(se2.between(self.told, as_told(moved, errors[self.stretch])))
 
     def add_to(self, add: Callable[..., None], poses: FloatArray, first_unknown: int) -> None:
         """The terms of all steps, and of what the errors are before anything is known of them."""

@@ -16,6 +16,7 @@ class Record:
     ``world_T_laser`` (S, 3): the laser then. ``sure`` (S,): whether the scan was matched, and no one's guess.
     ``laser``: as assumed. ``knots_s`` (K,), ``told_steps`` (K, 3): the wheels' steps as told, NaN where not known.
     ``stamps_back_s``: by how much stamps of one clock go backwards, which makes them worthless for delays.
+    ``with_scans``: the wheels' poses came with the scans, told at an instant near theirs.
     ``gyro_times_s``, ``gyro_yaw_rad`` (G,): the gyro's turns so far, as told but for what was assumed of it.
     """
 
@@ -26,6 +27,7 @@ class Record:
     knots_s: FloatArray
     told_steps: FloatArray
     stamps_back_s: float = 0.0
+    with_scans: bool = False
     gyro_times_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     gyro_yaw_rad: FloatArray = field(default_factory=lambda: np.zeros(0))
 
@@ -60,14 +62,29 @@ class Windows:
         return first[whole], last[whole]
 
 
-LEAST_S, LEAST_M, LEAST_RAD = 0.19, 0.08, 0.08  # a window lasts until the robot has moved
-LONGEST_S = 1.2
+LEAST_S = 0.19
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A window lasts until the robot has moved by ``least_m`` or ``least_rad``, and no longer than ``longest_s``."""
+
+    least_m: float
+    least_rad: float
+    longest_s: float
+
+
+SHORT = Cut(0.08, 0.08, 1.2)
+# of wheels read at instants of which only so much is known that they are near the scans': in a short window they tell of
+# another motion than the laser saw, which looks as if they turned too little
+LONG = Cut(1.0, 0.6, 20.0)
 STANDING_M, STANDING_RAD = 0.02, 0.02  # a window in which less happens says nothing of wheels
 
 
 def cut_windows(record: Record) -> Windows:
     """Windows of motion, end to end; standing, gaps and scans that are not sure lie between them."""
     times, poses, sure = record.times_s, record.world_T_laser, record.sure
+    cut = LONG if record.with_scans else SHORT
     moved = se2.between(poses[:-1], poses[1:])
     way = np.concatenate([[0.0], np.cumsum(np.hypot(moved[:, 0], moved[:, 1]))])
     turn = np.concatenate([[0.0], np.cumsum(np.abs(moved[:, 2]))])
@@ -81,13 +98,13 @@ def cut_windows(record: Record) -> Windows:
         if dt_s < LEAST_S:
             continue
         far, turned = way[n] - way[a], turn[n] - turn[a]
-        if dt_s > LONGEST_S:
+        if dt_s > cut.longest_s:
             a = n
-        elif far >= LEAST_M or turned >= LEAST_RAD:
+        elif far >= cut.least_m or turned >= cut.least_rad:
             a_all.append(a)
             b_all.append(n)
             a = n
-        elif dt_s > 0.8 * LONGEST_S:
+        elif dt_s > 0.8 * cut.longest_s:
             if far > STANDING_M or turned > STANDING_RAD:
                 a_all.append(a)
                 b_all.append(n)

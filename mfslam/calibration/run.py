@@ -46,7 +46,15 @@ def record_of(slam: Slam, solution: Solution) -> Record | None:
     matched = se2.compose(solution.world_T_reference, se2.exp(-solution.smoothed_by))
     world_T_laser = se2.compose(matched, laser.body_T_laser)
     return Record(
-        times, world_T_laser, sure, laser, knots, steps, motion.odometry.backwards_s, *motion.heading.turns()
+        times,
+        world_T_laser,
+        sure,
+        laser,
+        knots,
+        steps,
+        motion.odometry.backwards_s,
+        motion.comes_with_scans,
+        *motion.heading.turns(),
     )
 
 

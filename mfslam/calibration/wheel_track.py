@@ -64,7 +64,8 @@ class DifferentialDrive:
 
 @dataclass(frozen=True, eq=False)
 class PoseOdometry:
-    """Poses of unknown wheels: x' = scale x, y' = scale y, theta' = turn theta + drift x."""
+    """Poses of unknown wheels: x' = scale x, y' = scale y, theta' = turn theta + drift x: the law of `mfslam.wheel_errors`,
+    of twists."""
 
     names: tuple[str, ...] = ("scale", "turn_scale", "drift")
     start: FloatArray = field(default_factory=lambda: np.array([1.0, 1.0, 0.0]))

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 BLUNTER_SHARE, BLUNTER_BITS = 1.005, 0.005  # of a map's cells, of its entropy: within this it is as sharp
 LEFT_ALONE = (
-    "every scan of this log bears the wheels' pose, put together by its recorder: `mfslam calibrate` tells what the log "
-    "says of its robot"
+    "every scan of this log bears the wheels' pose, put together by its recorder: a delay between them is told by nothing, "
+    "and another mount only moves the point of the robot whose way is told"
 )
 
 
@@ -77,6 +77,8 @@ def map_calibrated(
     left_alone = slam.motion.comes_with_scans
     calibration = None if left_alone or interrupts.count else _calibrated(slam, solution)
     told: dict[str, Any] = {"left_alone": LEFT_ALONE} if left_alone else {}
+    if left_alone and slam.motion.odometry.has_moved:
+        progress.tell(f"not calibrated: {LEFT_ALONE}")
     what = "" if calibration is None else calibration.what_changes()
     if calibration is not None and what:
         progress.tell(f"calibrated: {what}; mapping again")
