@@ -6,9 +6,10 @@ from __future__ import annotations
 import bisect
 import math
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from mfslam.kernels import poses
 from mfslam.loop_records import Candidate, Fit, Loop, LoopStatistics, apart
 from mfslam.places import Place, PlaceMemory
 from mfslam.search import MAX_HYPOTHESES, hypotheses, search
-from mfslam.types import FloatArray, Match
+from mfslam.types import FloatArray, IntArray, Match
 from mfslam.uncertainty import RelativeUncertainty, chi2_quantile
 
 GAP_M = 100.0  # driven, as it were, where nothing ties two keyframes: what is within so much is rigid
@@ -104,26 +105,25 @@ class LoopCloser:
         window = config.window_sigmas * sigma_m[:old]
         near = np.flatnonzero(distance < config.reach_m * 0.75 + window)
         # one place per half segment of path: passes by the same spot count apart
-        stretch = (travel[near] / (config.segment_m / 2.0)).astype(np.int64)
-        best: dict[int, int] = {}
-        for n in np.argsort(distance[near], kind="stable"):
-            best.setdefault(int(stretch[n]), int(near[n]))
+        near = near[np.argsort(distance[near], kind="stable")]
+        _, nearest = np.unique((travel[near] / (config.segment_m / 2.0)).astype(np.int64), return_index=True)
+        best = near[np.sort(nearest)]
         # by now the graph may know as well as a match would: a spot that was tied well is left alone, however many passes
         # went by it
         least_m = config.gain_sigmas * math.sqrt(2.0) * config.sigma_floor_m
         least_rad = config.gain_sigmas * math.radians(config.sigma_floor_deg)
-        tells = [k for k in best.values() if sigma_m[k] > least_m or sigma_rad[k] > least_rad]
-        out = [
-            Candidate(
-                self._anchor(k),
-                max(config.min_window_m, float(window[k])),
-                min(max(0.1, config.window_sigmas * float(sigma_rad[k])), math.pi),
-            )
-            for k in tells
-        ]
-        sure = [c for c in out if c.window_m <= config.wide_window_m and not self._tied_lately(c)]
-        sure = sure[: config.max_near_places]
-        wide = [c for c in out if c.window_m > config.wide_window_m][: config.max_places]
+        best = best[(sigma_m[best] > least_m) | (sigma_rad[best] > least_rad)]
+        are_wide = window[best] > config.wide_window_m
+
+        def candidates(among: IntArray) -> Iterator[Candidate]:
+            for k in among.tolist():
+                window_rad = max(0.1, config.window_sigmas * float(sigma_rad[k]))
+                window_m = max(config.min_window_m, float(window[k]))
+                yield Candidate(self._anchor(k), window_m, min(window_rad, math.pi))
+
+        untied = (c for c in candidates(best[~are_wide]) if not self._tied_lately(c))
+        sure = list(islice(untied, config.max_near_places))
+        wide = list(candidates(best[are_wide][: config.max_places]))
         if wide and travel[j] - self._last_wide_m >= config.wide_every_m:
             self._last_wide_m = float(travel[j])
             return sure + wide

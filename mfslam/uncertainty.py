@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,23 +13,24 @@ from mfslam.types import Edge, FloatArray
 
 # what an edge that leaves a direction open says of it at least: 1 m, 1 m, 0.3 rad
 LEAST_KNOWN = np.diag([1.0, 1.0, 10.0])
-FRESH, REUSED = (
-    8000,
-    5,
-)  # keyframes, up to which every look at them is a new one; beyond, one in so many for each FRESH
+SINGLY = 2000  # keyframes, up to which each is a knot of the paths; beyond, so many in a row are one knot
+ROW = 8
 
 
 class RelativeUncertainty:
-    """Grows with the graph; bounds the joint marginals from above by covariances along shortest paths."""
+    """Grows with the graph; bounds the joint marginals from above by covariances along shortest paths.
+
+    Exact as far as `SINGLY` keyframes go. On longer logs paths lead from row to row of keyframes, what is driven within a
+    row being left out: a tenth of the price, and nothing that a search for loops would notice.
+    """
 
     def __init__(self) -> None:
-        self._ends = array("q")  # i, j of each edge
-        self._variances = array("d")  # of position, of heading of each edge
-        # the edges of a keyframe as a list that is linked through their ends (place h of _ends is end h)
-        self._newest = array("q")  # end of each keyframe, -1: none
-        self._older = array("q")  # for each end the one before it at the same keyframe
-        self._step_variances = array("d", (0.0, 0.0))  # position, heading: of the step to each keyframe
-        self._latest: _Seen | None = None
+        self._singly, self._rows = _Ties(), _Ties()
+        self._row_tie = array("q")  # of each tie that of its rows, -1: none
+        self._driven = (0.0, 0.0)  # variances of position and heading since the latest row began
+        self._row_driven = (0.0, 0.0)  # of the latest whole row
+        self._newest = 0  # keyframe that a step led to
+        self._latest: tuple[int, int, FloatArray] | None = None  # row, number of ties, sigmas seen from there
 
     def add(self, edges: Sequence[Edge], torn: bool = False) -> None:
         """Take note of what ties two keyframes: a loop, or match and wheels of a step. ``torn``: nobody watched
@@ -38,70 +38,89 @@ class RelativeUncertainty:
         edge = edges[0]
         known = np.sum([e.information for e in edges if e.kind != "heading"], axis=0)
         covariance = np.linalg.inv(known + (0.0 if torn else LEAST_KNOWN)).tolist()
-        self._newest.extend([-1] * (max(edge.i, edge.j) + 1 - len(self._newest)))
-        for keyframe in (edge.i, edge.j):
-            self._older.append(self._newest[keyframe])
-            self._newest[keyframe] = len(self._ends)
-            self._ends.append(keyframe)
         variances = covariance[0][0] + covariance[1][1], covariance[2][2]
-        self._variances.extend(variances)
-        if edge.j == edge.i + 1 and len(self._step_variances) == 2 * edge.j:
-            self._step_variances.extend(variances)
+        self._singly.add(edge.i, edge.j, variances)
+        self._row_tie.append(-1)
+        i, j = edge.i // ROW, edge.j // ROW
+        if edge.j == edge.i + 1 == self._newest + 1:
+            self._newest = edge.j
+            self._driven = _sum(self._driven, variances)
+            if i != j:
+                self._row_driven, self._driven = self._driven, (0.0, 0.0)
+                self._rows.add(i, j, self._row_driven)
+        elif i != j:
+            self._row_tie[-1] = len(self._rows)
+            self._rows.add(i, j, _sum(variances, self._row_driven))  # half a row at either end
 
     def remove(self, edge: Edge) -> None:
         """Forget a loop: no path leads over it any more. What ties a keyframe to the next stays."""
         if edge.j == edge.i + 1:
             return
         self._latest = None
-        for n in range(len(self._ends) // 2):
-            if self._ends[2 * n] == edge.i and self._ends[2 * n + 1] == edge.j:
-                self._variances[2 * n] = self._variances[2 * n + 1] = math.inf
+        for n in self._singly.between(edge.i, edge.j):
+            self._singly.cut(n)
+            if self._row_tie[n] >= 0:
+                self._rows.cut(self._row_tie[n])
 
     def seen_from(self, keyframe: int, world_T_body: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """One-sigma position (m) and heading (rad), (K,) each, of every keyframe seen from one of them.
+        """One-sigma position (m) and heading (rad), (K,) each, of every keyframe seen from one of them."""
+        count, row = len(world_T_body), keyframe // ROW
+        if count <= SINGLY:
+            sigmas = self._singly.sigmas(keyframe, world_T_body)
+            return sigmas[0], sigmas[1]
+        if self._latest is None or self._latest[:2] != (row, len(self._rows)):
+            middles = np.minimum(np.arange(-(-count // ROW)) * ROW + ROW // 2, count - 1)
+            self._latest = row, len(self._rows), self._rows.sigmas(row, world_T_body[middles])
+        sigmas = np.repeat(self._latest[2], ROW, axis=1)[:, :count]
+        return sigmas[0], sigmas[1]
 
-        Exact as far as `FRESH` keyframes go; on longer logs the paths are sought anew only every so many keyframes, and
-        what the robot has driven since is added: still bounds, at a price that does not grow.
-        """
-        count, before = len(world_T_body), self._latest
-        if before is None or not 0 <= keyframe - before.keyframe < REUSED * (count // FRESH):
-            before = self._latest = _Seen(keyframe, *self._search(keyframe, world_T_body))
-            return before.sigma_m, before.sigma_rad
-        # of the steps since, and the swing of their headings; the keyframes since are near the newest one
-        since = slice(before.keyframe + 1, keyframe + 1)
-        step_m, step_rad = np.sqrt(np.sum(self._steps()[since], axis=0))
-        away_m = np.hypot(*(world_T_body[:, :2] - world_T_body[keyframe, :2]).T)
-        sigma_m, sigma_rad = np.full(count, step_m), np.full(count, step_rad)
-        known = len(before.sigma_m)
-        sigma_m[:known] += before.sigma_m
-        sigma_rad[:known] += before.sigma_rad
-        return sigma_m + step_rad * away_m, sigma_rad
 
-    def _steps(self) -> FloatArray:
-        """(K, 2) variances of position and heading of the step to each keyframe."""
-        return np.frombuffer(self._step_variances).reshape(-1, 2)
+class _Ties:
+    """What ties knots of paths: keyframes, or rows of them."""
 
-    def _search(self, keyframe: int, world_T_body: FloatArray) -> tuple[FloatArray, FloatArray]:
-        newest = np.full(len(world_T_body), -1, np.int64)
+    def __init__(self) -> None:
+        self._ends = array("q")  # i, j of each tie
+        self._variances = array("d")  # of position, of heading of each tie
+        # the ties of a knot as a list that is linked through their ends (place h of _ends is end h)
+        self._newest = array("q")  # end of each knot, -1: none
+        self._older = array("q")  # for each end the one before it at the same knot
+
+    def __len__(self) -> int:
+        return len(self._ends) // 2
+
+    def add(self, i: int, j: int, variances: tuple[float, float]) -> None:
+        self._newest.extend([-1] * (max(i, j) + 1 - len(self._newest)))
+        for knot in (i, j):
+            self._older.append(self._newest[knot])
+            self._newest[knot] = len(self._ends)
+            self._ends.append(knot)
+        self._variances.extend(variances)
+
+    def between(self, i: int, j: int) -> list[int]:
+        """Numbers of the ties from i to j."""
+        return [n for n in range(len(self)) if self._ends[2 * n] == i and self._ends[2 * n + 1] == j]
+
+    def cut(self, number: int) -> None:
+        self._variances[2 * number] = self._variances[2 * number + 1] = math.inf
+
+    def sigmas(self, start: int, poses: FloatArray) -> FloatArray:
+        """(2, N) one-sigma position (m) and heading (rad) of knots at ``poses`` (N, 3), seen from knot ``start``."""
+        newest = np.full(len(poses), -1, np.int64)
         newest[: len(self._newest)] = np.frombuffer(self._newest, np.int64)[: len(newest)]
         out = reach.relative_sigmas(
-            keyframe,
-            world_T_body,
+            start,
+            poses,
             newest,
             np.frombuffer(self._older, np.int64) if self._older else newest,
             np.frombuffer(self._ends, np.int64) if self._ends else newest,
             np.frombuffer(self._variances).reshape(-1, 2) if self._variances else np.empty((0, 2)),
         )
-        return np.sqrt(out[:, 0]), np.sqrt(out[:, 1])
+        sigmas: FloatArray = np.sqrt(out[:, :2].T)
+        return sigmas
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """Sigmas of all keyframes as they were seen from one."""
-
-    keyframe: int
-    sigma_m: FloatArray
-    sigma_rad: FloatArray
+def _sum(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
+    return a[0] + b[0], a[1] + b[1]
 
 
 def chi2_quantile(probability: float) -> float:

@@ -135,17 +135,28 @@ def test_a_loop_that_was_taken_out_ties_nothing_any_more():
     assert tied < 0.5 * loose
 
 
-def test_on_a_long_log_an_older_look_and_what_was_driven_since_still_bound_it(monkeypatch):
-    monkeypatch.setattr("mfslam.uncertainty.FRESH", 50)
-    graph, exact = chain(circle(80), loops=[(0, 79), (5, 45)])
+def test_on_a_long_log_rows_of_keyframes_tell_nearly_the_same(monkeypatch):
+    loops = [(0, 319), (20, 180), (48, 280)]
+    graph, exact = chain(circle(320), loops=loops)
+    in_rows = chain(circle(320), loops=loops)[1]
     poses = graph.poses()
-    reused = chain(circle(80), loops=[(0, 79), (5, 45)])[1]
-    first_m, _ = reused.seen_from(76, poses)
-    monkeypatch.setattr("mfslam.uncertainty.FRESH", 1000)
-    fresh_m, fresh_rad = exact.seen_from(79, poses)
-    monkeypatch.setattr("mfslam.uncertainty.FRESH", 50)
-    sigma_m, sigma_rad = reused.seen_from(79, poses)
-    assert not np.array_equal(sigma_m, fresh_m) and len(sigma_m) == len(first_m) == 81
-    others = np.arange(76)
-    assert np.all(sigma_m[others] >= fresh_m[others]) and np.all(sigma_rad[others] >= fresh_rad[others])
-    assert np.median(sigma_m[others] / fresh_m[others]) < 2.0
+    exact_m, exact_rad = exact.seen_from(300, poses)
+    monkeypatch.setattr("mfslam.uncertainty.SINGLY", 50)
+    sigma_m, sigma_rad = in_rows.seen_from(300, poses)
+    assert len(sigma_m) == len(exact_m) == 321
+    others = np.arange(240)
+    np.testing.assert_allclose(sigma_m[others], exact_m[others], rtol=0.25)
+    np.testing.assert_allclose(sigma_rad[others], exact_rad[others], rtol=0.25)
+    measured = se2.between(poses[48], poses[280])
+    in_rows.remove(Edge("loop", 48, 280, measured, INFORMATION))
+    assert in_rows.seen_from(300, poses)[0][48] > 1.2 * sigma_m[48]
+
+
+def test_on_a_long_log_a_new_loop_counts_at_once(monkeypatch):
+    monkeypatch.setattr("mfslam.uncertainty.SINGLY", 50)
+    graph, uncertainty = chain(circle(80))
+    poses = graph.poses()
+    before_m, _ = uncertainty.seen_from(80, poses)
+    uncertainty.add([Edge("loop", 0, 80, se2.between(poses[0], poses[80]), INFORMATION)])
+    after_m, _ = uncertainty.seen_from(80, poses)
+    assert after_m[0] < 0.5 * before_m[0]
