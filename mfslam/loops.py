@@ -67,9 +67,11 @@ class LoopCloser:
         self,
         world_T_body: FloatArray,
         relative_covariance: Callable[[int, int], FloatArray],
+        drift_covariance: Callable[[], FloatArray],
         range_sigma_m: float,
     ) -> list[Loop]:
-        """Loops of the newest keyframe that are to be believed. ``world_T_body`` (K, 3): the estimate."""
+        """Loops of the newest keyframe that are to be believed. ``world_T_body`` (K, 3): the estimate; how uncertain
+        it is: `PoseGraph.relative_covariance` and `PoseGraph.drift_covariance`."""
         self.statistics.searches += 1
         self._last_search_m = self.travel_m[-1]
         j = len(self.keyframes) - 1
@@ -85,7 +87,7 @@ class LoopCloser:
                 found.append(loop)
         believed: list[Loop] = []
         for loop in self._unambiguous(found, world_T_body):
-            is_inside = partial(self._passes_gate, loop, world_T_body, relative_covariance)
+            is_inside = partial(self._passes_gate, loop, world_T_body, relative_covariance, drift_covariance)
             believed += self._with_partners(loop, is_inside)
         self.statistics.accepted += len(believed)
         self._tied_at_m.update((loop.i, self.travel_m[loop.j]) for loop in believed)
@@ -242,7 +244,11 @@ class LoopCloser:
         return sure + kept
 
     def _passes_gate(
-        self, loop: Loop, world_T_body: FloatArray, relative_covariance: Callable[[int, int], FloatArray]
+        self,
+        loop: Loop,
+        world_T_body: FloatArray,
+        relative_covariance: Callable[[int, int], FloatArray],
+        drift_covariance: Callable[[], FloatArray],
     ) -> bool:
         """chi2 of the loop under the joint marginal of both poses."""
         predicted = poses.between(world_T_body[loop.i], world_T_body[loop.j])
@@ -250,7 +256,10 @@ class LoopCloser:
         own = loop.match.information + 1e-6 * np.eye(3)
         if float(error @ own @ error) < self.gate_chi2:
             return True  # within its own noise: what the graph is unsure of beyond that only widens the gate
-        covariance = relative_covariance(loop.i, loop.j) + np.linalg.inv(own)
+        noise = np.linalg.inv(own)
+        if float(error @ np.linalg.solve(drift_covariance() + noise, error)) < self.gate_chi2:
+            return True  # a part of what it is unsure of is enough, and costs nothing
+        covariance = relative_covariance(loop.i, loop.j) + noise
         return float(error @ np.linalg.solve(covariance, error)) < self.gate_chi2
 
     def _with_partners(self, loop: Loop, is_inside: Callable[[], bool]) -> list[Loop]:

@@ -198,7 +198,9 @@ class Slam:
             world_T_body = self.graph.rough_poses()
         with self.clock.time("loop closure"):
             sigma_m = self.scans[-1].laser.range_sigma_m
-            loops = self.loops.search(world_T_body, self.graph.relative_covariance, sigma_m)
+            loops = self.loops.search(
+                world_T_body, self.graph.relative_covariance, self.graph.drift_covariance, sigma_m
+            )
         for loop in loops:
             self.graph.add_edge(loop.edge())
             self.loops.uncertainty.add([loop.edge()])

@@ -426,3 +426,32 @@ def test_a_graph_that_falls_apart_keeps_its_poses_finite():
     graph.add_edge(Edge("loop", 1, 2, se2.compose(STEP, [0.5, 0.0, 0.0]), INFORMATION))
     assert np.isfinite(graph.poses()).all()
     assert graph.relative_covariance(1, 2)[0, 0] < 0.01 < 1e3 < graph.relative_covariance(0, 2)[0, 0]
+
+
+def test_on_a_map_that_holds_a_loop_moves_the_latest_keyframes_alone():
+    steps = square(200)
+    truth = dead_reckoned(steps)
+    graph = chain(steps[:190], FULL)
+    graph.add_edge(Edge("loop", 0, 160, se2.between(truth[0], truth[160]), 1e4 * np.eye(3)))
+    before = graph.poses()  # all are solved for
+    for k in range(190, 200):
+        drifted = steps[k] + np.array([0.02, 0.03, 0.0])
+        graph.add_keyframe(drifted, [Edge("scan", k, k + 1, drifted, FULL)])
+    graph.add_edge(Edge("loop", 0, 200, se2.between(truth[0], truth[200]), 1e6 * np.eye(3)))
+    rough = graph.rough_poses()
+    np.testing.assert_array_equal(rough[:191], before)
+    assert_poses(rough[200], truth[200], 0.01)
+    assert np.any(graph.poses()[:191] != before)
+
+
+def test_what_was_driven_since_the_latest_loop_is_less_than_all_that_is_uncertain():
+    steps = square(40)
+    truth = dead_reckoned(steps)
+    graph = chain(steps[:30], FULL)
+    graph.add_edge(Edge("loop", 2, 30, se2.between(truth[2], truth[30]), 1e3 * np.eye(3)))
+    for k in range(30, 40):
+        graph.add_keyframe(steps[k], [Edge("scan", k, k + 1, steps[k], FULL)])
+    drift = graph.drift_covariance()
+    np.testing.assert_allclose(drift, marginal(graph, 30, 40), rtol=0.05)
+    for older in (0, 10, 20):
+        assert np.linalg.eigvalsh(graph.relative_covariance(older, 40) - drift).min() > -1e-9

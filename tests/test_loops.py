@@ -78,7 +78,7 @@ def drive(truth, world_at, drift=(0.0, 0.0, 0.0), sigma=SIGMA, config=None, beli
         graph.add_keyframe(steps[k - 1], [edge])
         closer.uncertainty.add([edge])
         if closer.due():
-            for loop in closer.search(graph.poses(), graph.relative_covariance, 0.01):
+            for loop in closer.search(graph.poses(), graph.relative_covariance, graph.drift_covariance, 0.01):
                 found.append(loop)
                 if believe:
                     graph.add_edge(loop.edge())

@@ -144,9 +144,10 @@ def test_on_a_long_log_rows_of_keyframes_tell_nearly_the_same(monkeypatch):
     monkeypatch.setattr("mfslam.uncertainty.SINGLY", 50)
     sigma_m, sigma_rad = in_rows.seen_from(300, poses)
     assert len(sigma_m) == len(exact_m) == 321
-    others = np.arange(240)
-    np.testing.assert_allclose(sigma_m[others], exact_m[others], rtol=0.25)
-    np.testing.assert_allclose(sigma_rad[others], exact_rad[others], rtol=0.25)
+    rows = np.s_[:240]
+    off = np.stack([sigma_m[rows] / exact_m[rows], sigma_rad[rows] / exact_rad[rows]]) - 1.0
+    # where two ways are about as long, another one may be taken
+    assert np.median(np.abs(off)) < 0.05 and np.max(np.abs(off)) < 0.3
     measured = se2.between(poses[48], poses[280])
     in_rows.remove(Edge("loop", 48, 280, measured, INFORMATION))
     assert in_rows.seen_from(300, poses)[0][48] > 1.2 * sigma_m[48]

@@ -56,6 +56,14 @@ class EdgeArrays:
         out._measured[between] = se2.between(*poses[self.ends[between].T])
         return out
 
+    def since(self, number: int) -> EdgeArrays:
+        """The edges from that number on."""
+        out = copy(self)
+        for name in ("_ends", "_measured", "_information", "_kinds"):
+            setattr(out, name, getattr(self, name)[number:])
+        out._count = self._count - number
+        return out
+
     @property
     def ends(self) -> IntArray:
         return self._ends[: self._count]

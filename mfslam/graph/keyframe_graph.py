@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from mfslam import se2
 from mfslam.config import GraphConfig
 from mfslam.graph.edges import LEAST, EdgeArrays
 from mfslam.graph.joint_marginals import JointMarginals
@@ -21,6 +22,9 @@ from mfslam.uncertainty import chi2_quantile
 NEAR_M, NEAR_RAD = 0.1, 0.02  # a loop that contradicts the poses by less can wait for a solve
 GAIN_ON_THE_WAY = 1e-4  # of the error, below which a solve while mapping has arrived
 ADJUSTED_WEIGHT = 10.0  # of what an adjustment says against a single match: it had many scans for each step
+LATEST_SHARE = (
+    0.1  # of the keyframes, which alone are solved for while the others stand where the last solve left them
+)
 DISPUTE_LEAST, DISPUTE_SHARE = 3, 0.1  # new loops, of all, before the next dispute is settled
 
 
@@ -45,6 +49,7 @@ class PoseGraph:
         self._is_contradicted = False  # by a loop that waits
         self._has_moved = False  # since the loops were last asked whether they are satisfied
         self._marginals: JointMarginals | None = None
+        self._solved = 0, 0  # keyframes and edges when all were solved for last
 
     def __len__(self) -> int:
         return self._count
@@ -102,8 +107,7 @@ class PoseGraph:
     def rough_poses(self) -> FloatArray:
         """(K, 3) world_T_body of every keyframe, as exact as a search needs them: solved anew only when a loop
         contradicts them by more than NEAR_M or NEAR_RAD."""
-        if self._is_contradicted:
-            self._solve()
+        self._settle_contradiction()
         return self._poses.copy()
 
     def seen_poses(self) -> FloatArray:
@@ -151,6 +155,19 @@ class PoseGraph:
             )
             self._marginals = JointMarginals(solver.factor, self._poses)
         return self._marginals.relative(i, j)
+
+    def drift_covariance(self) -> FloatArray:
+        """(3, 3) of the newest keyframe in its tangent, all being known up to the one that the latest loop came from: no
+        joint marginal of it and an older one is smaller."""
+        known = self._loops[-1] if self._loops else -1
+        first = self.edges[known].j if known >= 0 else 0
+        arrays = self._arrays.since(known + 1)
+        i, j = arrays.ends.T
+        steps = (j == i + 1) & (i >= first) & ~arrays.is_loop
+        information = np.tile(LEAST * np.eye(3), (len(self) - 1 - first, 1, 1))
+        np.add.at(information, i[steps] - first, arrays.information[steps])
+        carry = se2.adjoint(se2.between(self._poses[-1], self._poses[first + 1 :]))
+        return np.asarray((carry @ np.linalg.inv(information) @ carry.swapaxes(1, 2)).sum(axis=0))
 
     def optimize(self, edges: list[Edge]) -> list[Edge]:
         """Batch solve from the poses as they stand with these edges; robust on loops by graduated
@@ -216,8 +233,7 @@ class PoseGraph:
         count = len(self._loops)
         if count - self._judged < max(DISPUTE_LEAST, DISPUTE_SHARE * count):
             return [], []
-        if self._is_contradicted:
-            self._solve()
+        self._settle_contradiction()
         if not self._has_moved:
             return [], []
         self._has_moved = False
@@ -239,7 +255,7 @@ class PoseGraph:
     def release(self) -> None:
         """Drop the edges; the poses stay."""
         self.edges, self._arrays, self._loops, self._marginals = [], EdgeArrays(), [], None
-        self._removed, self._refused, self._waiting = set(), set(), 0
+        self._removed, self._refused, self._waiting, self._solved = set(), set(), 0, (0, 0)
 
     def edges_to_judge(self) -> list[Edge]:
         """The live edges, and, at weight 0, the loops that a dispute took out: they may come back."""
@@ -267,6 +283,29 @@ class PoseGraph:
         out[[*self._removed, *self._refused]] = 0.0
         return out
 
+    def _settle_contradiction(self) -> None:
+        """Where a loop contradicts the poses, they give way: the latest ones, if that settles it, else all."""
+        if self._is_contradicted and not self._solve_latest():
+            self._solve()
+
+    def _solve_latest(self) -> bool:
+        """Solve for the keyframes since all were solved for last, those before being held. False, and nothing moves, where
+        these are too many, or a loop still contradicts the poses."""
+        held, known = self._solved
+        if not 0 < len(self) - held <= LATEST_SHARE * held:
+            return False
+        edges, in_use = self._arrays.since(known), self._in_use()[known:]
+        solved = PoseSolver(edges, len(self), held).solve(
+            self._poses, in_use, edges.is_loop, self.config.loop_kernel_sigmas, relative_gain=GAIN_ON_THE_WAY
+        )
+        i, j = edges.ends[edges.is_loop & (in_use > 0.0)].T
+        error = se2.between(edges.measured[edges.is_loop & (in_use > 0.0)], se2.between(solved[i], solved[j]))
+        if np.any(np.hypot(error[:, 0], error[:, 1]) > NEAR_M) or np.any(np.abs(error[:, 2]) > NEAR_RAD):
+            return False
+        self._poses[:] = solved
+        self._is_contradicted, self._has_moved = False, True
+        return True
+
     def _solve(self) -> None:
         """All that waits is taken in."""
         solver = PoseSolver(self._arrays, len(self))
@@ -277,6 +316,7 @@ class PoseGraph:
         self._poses[:] = solved
         self._marginals = JointMarginals(solver.factor, self._poses)
         self._waiting, self._is_contradicted, self._has_moved = 0, False, True
+        self._solved = len(self), len(self.edges)
 
     def _violated(self, edges: EdgeArrays) -> BoolArray:
         """(E,) which edges are loops off by more than one in use may be, at the poses as they stand."""

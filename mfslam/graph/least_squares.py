@@ -32,14 +32,15 @@ class Factor:
 
 
 class PoseSolver:
-    """Solves for the poses (K, 3) that given edges tie together; the pattern is found once for all iterations."""
+    """Solves for the poses (K, 3) that given edges tie together, the first ``held`` of which stay where they are; the
+    pattern is found once for all iterations."""
 
-    def __init__(self, edges: EdgeArrays, count: int) -> None:
+    def __init__(self, edges: EdgeArrays, count: int, held: int = 1) -> None:
         self.edges = edges
         ends = edges.ends
-        inner = (ends[:, 0] != ends[:, 1]) & (ends > 0).all(axis=1)
-        pattern = Pattern.of(ends[inner, 0] - 1, ends[inner, 1] - 1, count - 1)
-        place = np.concatenate([[-1], pattern.place])
+        inner = (ends[:, 0] != ends[:, 1]) & (ends >= held).all(axis=1)
+        pattern = Pattern.of(ends[inner, 0] - held, ends[inner, 1] - held, count - held)
+        place = np.concatenate([np.full(held, -1), pattern.place])
         self._slots = np.zeros(len(edges), np.int64)
         self._slots[inner] = pattern.slots
         self.factor = Factor(pattern, place)
