@@ -7,7 +7,6 @@ size, and is exact for the linearised graph.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,9 +16,7 @@ from mfslam.graph.least_squares import Factor
 from mfslam.kernels import block_cholesky, poses
 from mfslam.types import FloatArray, IntArray
 
-# That are taken in: more of either are worth a new factor of so many poses, whose price grows with them, as that of what
-# is taken in grows with its number: both least at the root of the poses.
-MOST_LOOPS, MOST_STEPS, OF_POSES = 30, 300, 2000
+MOST_LOOPS, MOST_STEPS = 30, 300  # that are taken in; more of either are worth a new factor
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -43,13 +40,12 @@ class JointMarginals:
         self._new_steps: list[FloatArray] = []  # information of those that no marginal was asked for since
         self._loops: list[_Motion] = []
         self._new_loops: list[tuple[int, int, FloatArray]] = []  # and loops likewise
-        self._among_loops = np.empty((0, 0))  # inverse of what the loops that were taken in have to bear
+        self._among_loops = np.empty((0, 0))
 
     def is_old(self) -> bool:
-        more = math.sqrt(max(1.0, self._count / OF_POSES))
         return (
-            len(self._loops) + len(self._new_loops) > more * MOST_LOOPS
-            or len(self._steps) + len(self._new_steps) > more * MOST_STEPS
+            len(self._loops) + len(self._new_loops) > MOST_LOOPS
+            or len(self._steps) + len(self._new_steps) > MOST_STEPS
         )
 
     def add_step(self, world_T_body: FloatArray, information: FloatArray) -> None:
@@ -63,19 +59,14 @@ class JointMarginals:
 
     def _take_in(self, i: int, j: int, information: FloatArray) -> None:
         loop = self._motion(i, j)
-        own = self._product(loop, loop) + np.linalg.inv(information)
         count = len(self._loops)
         among = np.zeros((3 * count + 3, 3 * count + 3))
-        if count:
-            shared = np.concatenate([self._product(other, loop) for other in self._loops])
-            by_others = self._among_loops @ shared
-            corner = np.linalg.inv(own - shared.T @ by_others)
-            among[:-3, :-3] = self._among_loops + by_others @ corner @ by_others.T
-            among[:-3, -3:] = -by_others @ corner
-            among[-3:, :-3] = among[:-3, -3:].T
-            among[-3:, -3:] = corner
-        else:
-            among[:] = np.linalg.inv(own)
+        among[:-3, :-3] = self._among_loops
+        for n, other in enumerate([*self._loops, loop]):
+            shared = self._product(other, loop)
+            among[3 * n : 3 * n + 3, -3:] = shared
+            among[-3:, 3 * n : 3 * n + 3] = shared.T
+        among[-3:, -3:] += np.linalg.inv(information)
         self._loops.append(loop)
         self._among_loops = among
 
@@ -88,7 +79,7 @@ class JointMarginals:
         out = self._product(motion, motion)
         if self._loops:
             shared = np.concatenate([self._product(loop, motion) for loop in self._loops])
-            out = out - shared.T @ self._among_loops @ shared
+            out = out - shared.T @ np.linalg.solve(self._among_loops, shared)
         return np.asarray(out)
 
     def _motion(self, i: int, j: int) -> _Motion:
