@@ -14,35 +14,37 @@ CHUNK_POINTS = (
     500_000  # that are worked on at a time: what is made of them on the way takes several times their memory
 )
 
-NO_BEAMS = np.zeros(0, np.int64)
-
 
 @dataclass(frozen=True, eq=False)
 class ScanPoints:
-    """``points_m``, ``normals`` (P, 2) in the frame of their scan, rows ``first`` (K + 1,) of the scans, and the lasers
-    ``origins_m`` (K, 2) in those frames."""
+    """``points_m``, ``normals`` (P, 2) in the frame of their scan and ``beams`` (P,) of theirs, rows ``first`` (K + 1,) of the
+    scans, their ``stamps_ns`` (K,), and the lasers ``origins_m`` (K, 2) in those frames."""
 
     points_m: FloatArray
     normals: FloatArray
+    beams: IntArray
     first: IntArray
+    stamps_ns: IntArray
     origins_m: FloatArray
 
     @classmethod
     def of(cls, scans: Iterable[DeskewedScan], most: int, origins_m: FloatArray) -> ScanPoints:
         """Of scans with ``most`` points in all at most."""
         # memory is taken as it is filled, not here
-        points_m, normals = np.empty((most, 2)), np.empty((most, 2))
-        first = np.zeros(len(origins_m) + 1, np.int64)
+        points_m, normals, beams = np.empty((most, 2)), np.empty((most, 2)), np.empty(most, np.int64)
+        first, stamps_ns = np.zeros(len(origins_m) + 1, np.int64), np.empty(len(origins_m), np.int64)
         for k, scan in enumerate(scans):
             first[k + 1] = first[k] + len(scan.points_m)
-            points_m[first[k] : first[k + 1]] = scan.points_m
-            normals[first[k] : first[k + 1]] = scan.normals
-        return cls(points_m[: first[-1]], normals[: first[-1]], first, origins_m)
+            rows = slice(first[k], first[k + 1])
+            points_m[rows], normals[rows], beams[rows] = scan.points_m, scan.normals, scan.beams
+            stamps_ns[k] = scan.reference_ns
+        some = slice(first[-1])
+        return cls(points_m[some], normals[some], beams[some], first, stamps_ns, origins_m)
 
     def scan(self, k: int) -> DeskewedScan:
-        """A view of scan ``k``, to be matched against: without the beams that its points came from."""
+        """A view of scan ``k``."""
         rows = slice(self.first[k], self.first[k + 1])
-        return DeskewedScan(0, self.points_m[rows], self.normals[rows], NO_BEAMS)
+        return DeskewedScan(int(self.stamps_ns[k]), self.points_m[rows], self.normals[rows], self.beams[rows])
 
     def chunks(self) -> Sequence[slice]:
         """Scans, some at a time: all of them where they are not too many."""
