@@ -10,9 +10,8 @@ import numpy as np
 from mfslam.kernels import wall_patches
 from mfslam.types import DeskewedScan, FloatArray, IntArray
 
-CHUNK_POINTS = (
-    500_000  # that are worked on at a time: what is made of them on the way takes several times their memory
-)
+# that are worked on at a time: what is made of them on the way takes several times their memory
+CHUNK_POINTS = 500_000
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mfslam.arguments.shared import Commands, add_output, add_reporting, add_settings, add_topics
+from mfslam.arguments.shared import Commands, add_log, add_output, add_reporting, add_settings, add_topics
 
 
 def add_map(commands: Commands) -> None:
     command = commands.add_parser("map", help="map a log: trajectory, factor graph, occupancy grid, report")
-    command.add_argument("log", metavar="LOG", type=Path, help="CARMEN, urg-text, ROS 1 or ROS 2 log")
+    add_log(command)
     add_output(command)
     command.add_argument(
         "--calibrate",

@@ -6,10 +6,12 @@ from pathlib import Path
 
 from mfslam.arguments.shared import (
     Commands,
+    add_log,
     add_map_every,
     add_output,
     add_page,
     add_page_bind,
+    add_quiet,
     add_reporting,
     add_sensors,
     add_settings,
@@ -22,7 +24,7 @@ def add_record(commands: Commands) -> None:
     add_sensors(command)
     command.add_argument("-o", "--output", metavar="OUT.mcap", type=Path, required=True, help="a new file")
     add_settings(command)
-    command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")
+    add_quiet(command)
     command.set_defaults(module="record")
 
 
@@ -41,7 +43,7 @@ def add_live(commands: Commands) -> None:
 
 def add_replay(commands: Commands) -> None:
     command = commands.add_parser("replay", help="drive the live engine from a log")
-    command.add_argument("log", metavar="LOG", type=Path, help="CARMEN, urg-text, ROS 1 or ROS 2 log")
+    add_log(command)
     add_output(command)
     command.add_argument(
         "--speed", metavar="X", default="1", help="times the pace of the log, or max: as fast as it maps (1)"
@@ -50,7 +52,7 @@ def add_replay(commands: Commands) -> None:
     add_page(command)
     add_topics(command)
     add_settings(command)
-    command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")
+    add_quiet(command)
     command.set_defaults(module="replay")
 
 
@@ -59,5 +61,5 @@ def add_view(commands: Commands) -> None:
     command.add_argument("run_folder", metavar="OUT", type=Path, help="folder of `mfslam map`")
     command.add_argument("--port", dest="view", metavar="PORT", type=int, help="of the page (8765)")
     add_page_bind(command)
-    command.add_argument("-q", "--quiet", action="store_true", help="say nothing but the address")
+    add_quiet(command, "say nothing but the address")
     command.set_defaults(module="view")

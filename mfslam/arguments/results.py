@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mfslam.arguments.shared import Commands
+from mfslam.arguments.shared import Commands, add_quiet
 
 
 def add_evaluate(commands: Commands) -> None:
@@ -51,7 +51,7 @@ def add_evaluate(commands: Commands) -> None:
     command.add_argument(
         "--rpe-step", metavar="N", type=int, default=1, help="poses between those of RPE (1)"
     )
-    command.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
+    add_quiet(command, "print nothing but errors")
     command.set_defaults(module="evaluate")
 
 
@@ -62,7 +62,7 @@ def add_compare(commands: Commands) -> None:
     command.add_argument("-o", "--output", metavar="PAGE.html", type=Path, help="write a page")
     command.add_argument("--picture", metavar="FILE.png", type=Path, help="write the difference of the maps")
     command.add_argument("--json", metavar="FILE", type=Path, help="write all figures as JSON")
-    command.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
+    add_quiet(command, "print nothing but errors")
     command.set_defaults(module="compare")
 
 
@@ -96,5 +96,5 @@ def add_optimize(commands: Commands) -> None:
         help="of the six numbers of an information matrix, where tags mislead",
     )
     command.add_argument("--no-certificate", action="store_true", help="do not look for a lower bound")
-    command.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
+    add_quiet(command, "print nothing but errors")
     command.set_defaults(module="optimize")

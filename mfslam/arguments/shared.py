@@ -6,9 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TypeAlias
 
-Commands: TypeAlias = (
-    "argparse._SubParsersAction[argparse.ArgumentParser]"  # what argparse gives from `add_subparsers`
-)
+# what argparse gives from `add_subparsers`
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
 def add_settings(command: argparse.ArgumentParser) -> None:
@@ -16,12 +15,21 @@ def add_settings(command: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--preset", metavar="NAME", action="append", default=[], help="sensor or robot preset, or a YAML file"
     )
+    add_changes(group, "one setting")
+
+
+def add_changes(group: argparse._ArgumentGroup, one: str) -> None:
+    """Of settings, from a file and one by one; ``one``: what one of them is."""
     group.add_argument(
         "--config", metavar="FILE", type=Path, help="YAML file with what differs from the defaults"
     )
     group.add_argument(
-        "--set", metavar="STAGE.KEY=VALUE", action="append", default=[], dest="settings", help="one setting"
+        "--set", metavar="STAGE.KEY=VALUE", action="append", default=[], dest="settings", help=one
     )
+
+
+def add_log(command: argparse.ArgumentParser) -> None:
+    command.add_argument("log", metavar="LOG", type=Path, help="CARMEN, urg-text, ROS 1 or ROS 2 log")
 
 
 def add_topics(command: argparse.ArgumentParser) -> None:
@@ -79,7 +87,11 @@ def add_page_bind(command: argparse.ArgumentParser) -> None:
 
 def add_reporting(command: argparse.ArgumentParser) -> None:
     command.add_argument("--json", metavar="FILE", type=Path, help="write the summary there too")
-    command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")
+    add_quiet(command)
+
+
+def add_quiet(command: argparse.ArgumentParser, leaves: str = "no progress, only errors") -> None:
+    command.add_argument("-q", "--quiet", action="store_true", help=leaves)
 
 
 def add_output(command: argparse.ArgumentParser, holds: str = "results", kept: str = "") -> None:

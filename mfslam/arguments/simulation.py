@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mfslam.arguments.shared import Commands
+from mfslam.arguments.shared import Commands, add_changes, add_quiet
 
 
 def add_simulate(commands: Commands) -> None:
@@ -54,17 +54,7 @@ def add_simulate(commands: Commands) -> None:
     )
     command.add_argument("--seed", type=int, default=0, help="of all noise (0)")
     group = command.add_argument_group("settings (see --describe; later ones win)")
-    group.add_argument(
-        "--config", metavar="FILE", type=Path, help="YAML file with what differs from the defaults"
-    )
-    group.add_argument(
-        "--set",
-        metavar="STAGE.KEY=VALUE",
-        action="append",
-        default=[],
-        dest="settings",
-        help="one setting of robot, laser or faults",
-    )
+    add_changes(group, "one setting of robot, laser or faults")
     group = command.add_argument_group("instead of a log")
     group.add_argument("--list", action="store_true", help="print the names of worlds, lasers and robots")
     group.add_argument(
@@ -73,5 +63,5 @@ def add_simulate(commands: Commands) -> None:
     group.add_argument(
         "--print-world", action="store_true", help="print the text of WORLD, to begin one's own with"
     )
-    command.add_argument("-q", "--quiet", action="store_true", help="no progress, only errors")
+    add_quiet(command)
     command.set_defaults(module="simulate")

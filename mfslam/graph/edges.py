@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from copy import copy
 
 import numpy as np
 
 from mfslam import se2
-from mfslam.config import GraphConfig
 from mfslam.types import BoolArray, Edge, FloatArray, IntArray
 
 LEAST = 1e-6  # information that every edge has, as gtsam's factors do that mfslam makes: 1 km, 1000 rad
@@ -41,12 +39,11 @@ class EdgeArrays:
         self._kinds[n] = edge.kind == "loop", edge.kind in ("loop", "scan")
         self._count = n + 1
 
-    def are_off(self, numbers: IntArray, poses: FloatArray, limits: GraphConfig) -> BoolArray:
-        """Which of the edges numbered poses (K, 3) miss by more than a loop in use may be missed."""
+    def are_off(self, numbers: IntArray, poses: FloatArray, most_m: float, most_rad: float) -> BoolArray:
+        """Which of the edges numbered poses (K, 3) miss by more."""
         i, j = self.ends[numbers].T
         error = se2.between(self.measured[numbers], se2.between(poses[i], poses[j]))
-        far = np.hypot(error[:, 0], error[:, 1]) > limits.loop_satisfied_m
-        return np.asarray(far | (np.abs(error[:, 2]) > math.radians(limits.loop_satisfied_deg)))
+        return np.asarray((np.hypot(error[:, 0], error[:, 1]) > most_m) | (np.abs(error[:, 2]) > most_rad))
 
     def restated(self, numbers: IntArray, poses: FloatArray) -> EdgeArrays:
         """The same edges, of which those numbered measure what ``poses`` (K, 3) say; compass readings stay."""

@@ -22,9 +22,8 @@ from mfslam.uncertainty import chi2_quantile
 NEAR_M, NEAR_RAD = 0.1, 0.02  # a loop that contradicts the poses by less can wait for a solve
 GAIN_ON_THE_WAY = 1e-4  # of the error, below which a solve while mapping has arrived
 ADJUSTED_WEIGHT = 10.0  # of what an adjustment says against a single match: it had many scans for each step
-LATEST_SHARE = (
-    0.1  # of the keyframes, which alone are solved for while the others stand where the last solve left them
-)
+# of the keyframes, which alone are solved for while the others stand where the last solve left them
+LATEST_SHARE = 0.1
 DISPUTE_LEAST, DISPUTE_SHARE = 3, 0.1  # new loops, of all, before the next dispute is settled
 
 
@@ -298,9 +297,8 @@ class PoseGraph:
         solved = PoseSolver(edges, len(self), held).solve(
             self._poses, in_use, edges.is_loop, self.config.loop_kernel_sigmas, relative_gain=GAIN_ON_THE_WAY
         )
-        i, j = edges.ends[edges.is_loop & (in_use > 0.0)].T
-        error = se2.between(edges.measured[edges.is_loop & (in_use > 0.0)], se2.between(solved[i], solved[j]))
-        if np.any(np.hypot(error[:, 0], error[:, 1]) > NEAR_M) or np.any(np.abs(error[:, 2]) > NEAR_RAD):
+        loops = np.flatnonzero(edges.is_loop & (in_use > 0.0))
+        if edges.are_off(loops, solved, NEAR_M, NEAR_RAD).any():
             return False
         self._poses[:] = solved
         self._is_contradicted, self._has_moved = False, True
@@ -321,7 +319,8 @@ class PoseGraph:
     def _violated(self, edges: EdgeArrays) -> BoolArray:
         """(E,) which edges are loops off by more than one in use may be, at the poses as they stand."""
         out, loops = np.zeros(len(edges), np.bool_), np.flatnonzero(edges.is_loop)
-        out[loops] = edges.are_off(loops, self._poses, self.config)
+        limit_m, limit_rad = self.config.loop_satisfied_m, math.radians(self.config.loop_satisfied_deg)
+        out[loops] = edges.are_off(loops, self._poses, limit_m, limit_rad)
         return out
 
     def _decide(self, edges: EdgeArrays, believed: BoolArray) -> FloatArray:

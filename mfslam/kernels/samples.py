@@ -154,6 +154,7 @@ def _call_smoothing() -> None:
 
 
 _SHAPE, _ORIGIN_M = (2, 40), np.array([-4.0, -4.0])
+_RANGES_M, _ANGLES_RAD, _TIMES_S = np.full(_SHAPE, 2.0, np.float32), np.linspace(-1.5, 1.5, 40), np.zeros(40)
 
 
 def _placed() -> tuple[FloatArray, FloatArray, raytrace.KindArray]:
@@ -169,20 +170,19 @@ def _empty_table() -> surfels.PatchTable:
 
 def _call_beams() -> None:
     starts, ends, kinds = _placed()
-    ranges, angles, times = np.full(_SHAPE, 2.0, np.float32), np.linspace(-1.5, 1.5, 40), np.zeros(40)
     raytrace.place_beams(
-        ranges,
+        _RANGES_M,
         np.zeros((2, 3)),
         np.ones((2, 6)),
-        angles,
-        times,
+        _ANGLES_RAD,
+        _TIMES_S,
         np.zeros(3),
         (0.1, 10.0, 0.0),
         starts,
         ends,
         kinds,
     )
-    raytrace.drop_mixed(ranges, starts, ends, kinds, 0.02, 0.08)
+    raytrace.drop_mixed(_RANGES_M, starts, ends, kinds, 0.02, 0.08)
     raytrace.limit_range(starts, ends, kinds, 10.0, np.zeros(4))
     stops = np.empty_like(ends)
     raytrace.stop_short(starts, ends, kinds, 0.02, stops)
@@ -205,9 +205,8 @@ def _call_surfaces() -> None:
 def _call_glass() -> None:
     keys, sums = _empty_table()
     lines, met = np.zeros((64, 5)), np.zeros(64, np.int64)
-    ranges, angles, times = np.full(_SHAPE, 2.0, np.float32), np.linspace(-1.5, 1.5, 40), np.zeros(40)
     glass.count_square(
-        lines, ranges, np.zeros((2, 3)), np.zeros((2, 6)), angles, times, np.zeros(3), (0.1, 10.0, 8.0), 0.02, met,
+        lines, _RANGES_M, np.zeros((2, 3)), np.zeros((2, 6)), _ANGLES_RAD, _TIMES_S, np.zeros(3), (0.1, 10.0, 8.0), 0.02, met,
         met.copy(),
     )  # fmt: skip
     glass.share_behind(keys, sums, lines, 0.06, 0.02)

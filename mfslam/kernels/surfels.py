@@ -79,6 +79,7 @@ def add_hits(
 
 @helper
 def _sector(nx: float, ny: float) -> int:
+    """Of `SECTORS`, which are eight, that about the direction: 0 about x, counterclockwise."""
     across, along = abs(ny), abs(nx)
     if across < _HALF_SECTOR * along:
         return 0 if nx > 0.0 else 4

@@ -7,6 +7,7 @@ import numpy as np
 from mfslam.kernels.align import geman_mcclure
 from mfslam.kernels.cells import CellTable, cell_key, find_slot
 from mfslam.kernels.compiling import kernel
+from mfslam.kernels.poses import transform_points
 from mfslam.types import FloatArray, Int32Array, IntArray
 
 ALIKE_COS = 0.85  # normals of one patch
@@ -57,13 +58,9 @@ def place_scans(
     the world: rows x, y, nx, ny of ``out``, which begins with those of the first scan."""
     n = 0
     for k in range(poses.shape[0]):
-        c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
-        for i in range(first[k], first[k + 1]):
-            out[n, 0] = poses[k, 0] + c * points[i, 0] - s * points[i, 1]
-            out[n, 1] = poses[k, 1] + s * points[i, 0] + c * points[i, 1]
-            out[n, 2] = c * normals[i, 0] - s * normals[i, 1]
-            out[n, 3] = s * normals[i, 0] + c * normals[i, 1]
-            n += 1
+        a, b = first[k], first[k + 1]
+        transform_points(poses[k], points[a:b], normals[a:b], out[n : n + b - a])
+        n += b - a
 
 
 @kernel

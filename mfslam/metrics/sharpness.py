@@ -13,7 +13,7 @@ from mfslam.kernels import raytrace
 from mfslam.mapping.beams import scan_groups
 from mfslam.mapping.surface import Surface
 from mfslam.metrics.crispness import Crispness, crispness
-from mfslam.types import FloatArray, IntArray, Scan
+from mfslam.types import BoolArray, FloatArray, IntArray, Scan
 
 MAX_BEAMS = 400_000  # of more, every second, third, ... scan is taken
 CELL_M = 0.02
@@ -116,14 +116,21 @@ class _Pieces:
         key = (square[:, 0] * (int(square[:, 1].max(initial=0)) + 1) + square[:, 1]) * 8 + facings[oriented]
         by_piece = np.argsort(key, kind="stable")  # within a piece in the order of the scans
         key, scan = key[by_piece], scan_of[oriented][by_piece]
-        begins = np.concatenate([[True], key[1:] != key[:-1]])[: len(key)]
+        begins = _changes(key)
         piece = np.cumsum(begins) - 1
         hits = np.bincount(piece)
-        seen_by = np.bincount(piece[begins | np.concatenate([[True], scan[1:] != scan[:-1]])[: len(key)]])
+        seen_by = np.bincount(piece[begins | _changes(scan)])
         good = (hits >= _MIN_HITS) & (seen_by >= _MIN_SCANS)
         kept = good[piece]
         renumbered = np.cumsum(good) - 1
         return cls(oriented[by_piece[kept]], renumbered[piece[kept]], int(np.count_nonzero(good)))
+
+
+def _changes(values: IntArray) -> BoolArray:
+    """(P,) whether each value is another than the one before; the first is."""
+    out = np.ones(len(values), np.bool_)
+    out[1:] = values[1:] != values[:-1]
+    return out
 
 
 def _sharpness(points_m: FloatArray, pieces: _Pieces) -> Sharpness:
