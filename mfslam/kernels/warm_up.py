@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any
 
@@ -25,7 +26,8 @@ def compile_once(tell: Callable[[str], None]) -> float:
 
     Every core takes a share of them, in a process of its own: numba compiles one function at a time.
     """
-    if all(_is_cached(kernel) for kernel in _kernels()):
+    newest_s = _newest_source_s()
+    if not [kernel for kernel in _kernels() if not _is_cached(kernel, newest_s)]:
         return 0.0
     tell("first run: compiling kernels (once per installation, some 15 to 25 s) ...")
     start_s, start = time.process_time(), os.times()
@@ -38,7 +40,7 @@ def compile_once(tell: Callable[[str], None]) -> float:
     finally:
         for other in others:
             other.kill()
-    _call(SAMPLES)  # loads what the others compiled, and compiles what they did not
+    call_all()  # loads what the others compiled, and compiles what they did not
     end = os.times()
     cpu_s = sum(end[:4]) - sum(start[:4])
     tell(
@@ -94,12 +96,25 @@ def _kernels() -> list[Any]:
     ]  # fmt: skip
 
 
-def _is_cached(kernel: Any) -> bool:
-    """Whether numba holds a valid compiled version on disk (its cache has no public question for that)."""
+def _is_cached(kernel: Any, newest_s: float) -> bool:
+    """Whether numba holds a valid compiled version (its cache has no public question for that). One that is older than the
+    newest source of this room, at ``newest_s``, is dropped: numba looks at a kernel's own file alone, and not at those of
+    the helpers that it was compiled with."""
+    if kernel.signatures:
+        return True
     try:
-        return bool(kernel.signatures or kernel._cache._cache_file._load_index())
+        file = kernel._cache._cache_file
+        if Path(file._index_path).stat().st_mtime < newest_s:
+            file.flush()
+        return bool(file._load_index())
     except (AttributeError, OSError):
         return False
+
+
+def _newest_source_s() -> float:
+    """When a source of this room was changed last; by a clock that was ahead then, nothing is told."""
+    sources = (source for folder in kernels.__path__ for source in Path(folder).glob("*.py"))
+    return max((s for source in sources if (s := source.stat().st_mtime) <= time.time()), default=0.0)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -48,3 +50,30 @@ def test_nothing_is_said_once_all_is_compiled() -> None:
     said: list[str] = []
     assert warm_up.compile_once(said.append) == 0.0
     assert said == []
+
+
+def test_kernels_older_than_a_helper_of_theirs_are_compiled_anew(tmp_path: Path) -> None:
+    """numba itself looks at a kernel's own file alone."""
+    package = Path(warm_up.__file__).parent
+    shutil.copytree(package.parent, tmp_path / "mfslam", ignore=shutil.ignore_patterns("__pycache__"))
+    code = """
+from mfslam.kernels import poses, warm_up
+poses.compose(*[__import__("numpy").zeros(3)] * 2)
+kernel = poses.compose
+kernel.overloads.clear()
+print(warm_up.__file__, warm_up._is_cached(kernel, warm_up._newest_source_s()))
+"""
+
+    def is_cached() -> str:
+        child = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True,
+            env=os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+        )  # fmt: skip
+        where, answer = child.stdout.split()
+        assert Path(where).is_relative_to(tmp_path)
+        return answer
+
+    assert is_cached() == "True"
+    for index in (tmp_path / "cache").rglob("*.nbi"):
+        os.utime(index, (1.0, 1.0))  # as if some source, not the kernel's own, had been changed since
+    assert is_cached() == "False"
