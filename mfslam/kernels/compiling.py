@@ -1,4 +1,10 @@
-"""What numba is told of every kernel, so that the first run compiles them in as little time as may be."""
+"""What numba is told of every kernel, so that they are compiled once, in as little time as may be."""
+
+import contextlib
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 from numba import njit
 from numba.core import typed_passes, untyped_passes
@@ -49,5 +55,16 @@ _OPTIONS = {
     "pipeline_class": KernelCompiler,
 }
 
-kernel = njit(cache=True, **_OPTIONS)  # what Python calls
+_SOURCES = hashlib.sha256(b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py")))).digest()
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """What Python calls: compiled once, and kept on disk as long as no source of this room changes (by itself, numba looks
+    at a kernel's own file, and not at those of the helpers that it was compiled with)."""
+    compiled = njit(cache=True, **_OPTIONS)(function)
+    with contextlib.suppress(AttributeError):  # a numba that keeps it elsewhere
+        compiled._cache._cache_file._source_stamp = _SOURCES
+    return compiled
+
+
 helper = njit(**_OPTIONS)  # what kernels call: compiled with them, and kept with them

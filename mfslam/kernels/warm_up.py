@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any
 
@@ -26,10 +25,9 @@ def compile_once(tell: Callable[[str], None]) -> float:
 
     Every core takes a share of them, in a process of its own: numba compiles one function at a time.
     """
-    newest_s = _newest_source_s()
-    if not [kernel for kernel in _kernels() if not _is_cached(kernel, newest_s)]:
+    if all(_is_cached(kernel) for kernel in _kernels()):
         return 0.0
-    tell("first run: compiling kernels (once per installation, some 15 to 25 s) ...")
+    tell("compiling kernels (once per installation, some 15 to 25 s) ...")
     start_s, start = time.process_time(), os.times()
     processes = min(_MOST_PROCESSES, _cores())
     others = [_compile_apart(SAMPLES[share::processes]) for share in range(1, processes)]
@@ -96,26 +94,20 @@ def _kernels() -> list[Any]:
     ]  # fmt: skip
 
 
-def _is_cached(kernel: Any, newest_s: float) -> bool:
-    """Whether numba holds a valid compiled version (its cache has no public question for that). One that is older than the
-    newest source of this room, at ``newest_s``, is dropped: numba looks at a kernel's own file alone, and not at those of
-    the helpers that it was compiled with."""
+def _is_cached(kernel: Any) -> bool:
+    """Whether numba holds a version that was compiled from today's sources for this processor (its cache has no public
+    question for that)."""
     if kernel.signatures:
         return True
     try:
-        file = kernel._cache._cache_file
-        if Path(file._index_path).stat().st_mtime < newest_s:
-            file.flush()
-        return bool(file._load_index())
+        processor = kernel.targetctx.codegen().magic_tuple()
+        return any(processor in key for key in kernel._cache._cache_file._load_index())
     except (AttributeError, OSError):
         return False
 
 
-def _newest_source_s() -> float:
-    """When a source of this room was changed last; by a clock that was ahead then, nothing is told."""
-    sources = (source for folder in kernels.__path__ for source in Path(folder).glob("*.py"))
-    return max((s for source in sources if (s := source.stat().st_mtime) <= time.time()), default=0.0)
-
-
 if __name__ == "__main__":
-    _call([sample for sample in SAMPLES if sample.__name__ in sys.argv[1:]])
+    if sys.argv[1:]:
+        _call([sample for sample in SAMPLES if sample.__name__ in sys.argv[1:]])
+    else:
+        compile_once(print)
