@@ -40,7 +40,13 @@ class KernelBuildHook(BuildHookInterface):  # type: ignore[type-arg]
         """Compile into the kernels' own folder below ``root``."""
         kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
         child = subprocess.run(
-            [sys.executable, "-m", "mfslam.kernels.warm_up"], cwd=root, env=kept, capture_output=True, text=True
+            [sys.executable, "-m", "mfslam.kernels.warm_up"],
+            cwd=root,
+            env=kept,
+            capture_output=True,
+            text=True,
         )
         if child.returncode != 0:
-            self.app.display_warning(f"kernels were not compiled, the first run will: {child.stderr.strip()[-500:]}")
+            self.app.display_warning(
+                f"kernels were not compiled, the first run will: {child.stderr.strip()[-500:]}"
+            )

@@ -55,7 +55,9 @@ _OPTIONS = {
     "pipeline_class": KernelCompiler,
 }
 
-_SOURCES = hashlib.sha256(b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py")))).digest()
+_SOURCES = hashlib.sha256(
+    b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py")))
+).digest()
 
 
 def kernel(function: Callable[..., Any]) -> Any:
