@@ -20,8 +20,9 @@ from mfslam.kernels import poses
 from mfslam.loop_records import Candidate, Fit, Loop, LoopStatistics, apart
 from mfslam.places import Place, PlaceMemory
 from mfslam.search import MAX_HYPOTHESES, hypotheses, search
+from mfslam.skeleton import Skeleton
 from mfslam.types import FloatArray, IntArray, Match
-from mfslam.uncertainty import RelativeUncertainty, chi2_quantile
+from mfslam.uncertainty import chi2_quantile
 
 GAP_M = 100.0  # driven, as it were, where nothing ties two keyframes: what is within so much is rigid
 
@@ -38,12 +39,15 @@ class LoopCloser:
         self.keyframes = keyframes
         self.travel_m = array("d")
         self.statistics = LoopStatistics()
-        self.uncertainty = RelativeUncertainty()
+        # a spot that is known as well as a few matches would know it is left alone, however often it is passed
+        self._known_m = self.config.gain_sigmas * math.sqrt(2.0) * self.config.sigma_floor_m
+        self._known_rad = self.config.gain_sigmas * math.radians(self.config.sigma_floor_deg)
+        self.skeleton = Skeleton(self._known_m, self._known_rad)
         self._memory = PlaceMemory(keyframes)
         self._last_search_m = 0.0
         self._last_wide_m = -math.inf
         self._waiting: list[Loop] = []
-        self._tied_at_m: dict[int, float] = {}  # anchor -> travel when it was last tied to
+        self._tied_at_m: dict[int, float] = {}  # place -> travel when it was last tied to
 
     def add_keyframe(self, torn: bool = False) -> None:
         """Note the newest keyframe; call once for each. ``torn``: how the robot came there is not known, so no
@@ -66,12 +70,9 @@ class LoopCloser:
     def search(
         self,
         world_T_body: FloatArray,
-        relative_covariance: Callable[[int, int], FloatArray],
-        drift_covariance: Callable[[], FloatArray],
         range_sigma_m: float,
     ) -> list[Loop]:
-        """Loops of the newest keyframe that are to be believed. ``world_T_body`` (K, 3): the estimate; how uncertain
-        it is: `PoseGraph.relative_covariance` and `PoseGraph.drift_covariance`."""
+        """Loops of the newest keyframe that are to be believed. ``world_T_body`` (K, 3): the estimate."""
         self.statistics.searches += 1
         self._last_search_m = self.travel_m[-1]
         j = len(self.keyframes) - 1
@@ -87,7 +88,7 @@ class LoopCloser:
                 found.append(loop)
         believed: list[Loop] = []
         for loop in self._unambiguous(found, world_T_body):
-            is_inside = partial(self._passes_gate, loop, world_T_body, relative_covariance, drift_covariance)
+            is_inside = partial(self._passes_gate, loop, world_T_body)
             believed += self._with_partners(loop, is_inside)
         self.statistics.accepted += len(believed)
         self._tied_at_m.update((loop.i, self.travel_m[loop.j]) for loop in believed)
@@ -97,37 +98,30 @@ class LoopCloser:
 
     def _candidates(self, j: int, world_T_body: FloatArray) -> list[Candidate]:
         """Old places that the newest keyframe may see, the nearest first."""
-        config = self.config
-        travel = np.frombuffer(self.travel_m)[: j + 1].copy()
-        old = int(np.searchsorted(travel, travel[j] - config.min_travel_m))  # so many are old enough
-        if not old:
+        config, here_m = self.config, self.travel_m[j]
+        knots = self.skeleton.knots
+        is_old = np.frombuffer(self.travel_m)[knots] <= here_m - config.min_travel_m
+        if not is_old.any():
             return []
-        sigma_m, sigma_rad = self.uncertainty.seen_from(j, world_T_body)
-        distance = np.hypot(*(world_T_body[:old, :2] - world_T_body[j, :2]).T)
-        window = config.window_sigmas * sigma_m[:old]
-        near = np.flatnonzero(distance < config.reach_m * 0.75 + window)
-        # one place per half segment of path: passes by the same spot count apart
-        near = near[np.argsort(distance[near], kind="stable")]
-        _, nearest = np.unique((travel[near] / (config.segment_m / 2.0)).astype(np.int64), return_index=True)
-        best = near[np.sort(nearest)]
-        # by now the graph may know as well as a match would: a spot that was tied well is left alone, however many passes
-        # went by it
-        least_m = config.gain_sigmas * math.sqrt(2.0) * config.sigma_floor_m
-        least_rad = config.gain_sigmas * math.radians(config.sigma_floor_deg)
-        best = best[(sigma_m[best] > least_m) | (sigma_rad[best] > least_rad)]
+        sigma_m, sigma_rad = self.skeleton.seen_from(j, world_T_body)
+        distance = np.hypot(*(world_T_body[knots, :2] - world_T_body[j, :2]).T)
+        window = config.window_sigmas * sigma_m
+        is_unsure = (sigma_m > self._known_m) | (sigma_rad > self._known_rad)
+        near = np.flatnonzero(is_old & is_unsure & (distance < config.reach_m * 0.75 + window))
+        best = near[np.argsort(distance[near], kind="stable")]
         are_wide = window[best] > config.wide_window_m
 
         def candidates(among: IntArray) -> Iterator[Candidate]:
             for k in among.tolist():
                 window_rad = max(0.1, config.window_sigmas * float(sigma_rad[k]))
                 window_m = max(config.min_window_m, float(window[k]))
-                yield Candidate(self._anchor(k), window_m, min(window_rad, math.pi))
+                yield Candidate(int(knots[k]), window_m, min(window_rad, math.pi))
 
         untied = (c for c in candidates(best[~are_wide]) if not self._tied_lately(c))
         sure = list(islice(untied, config.max_near_places))
         wide = list(candidates(best[are_wide][: config.max_places]))
-        if wide and travel[j] - self._last_wide_m >= config.wide_every_m:
-            self._last_wide_m = float(travel[j])
+        if wide and here_m - self._last_wide_m >= config.wide_every_m:
+            self._last_wide_m = here_m
             return sure + wide
         return sure
 
@@ -135,12 +129,6 @@ class LoopCloser:
         """Whether this stretch of path was tied to the same place already: once more says nothing new."""
         last_m = self._tied_at_m.get(candidate.keyframe)
         return last_m is not None and self.travel_m[-1] - last_m < self.config.segment_m / 2.0
-
-    def _anchor(self, k: int) -> int:
-        """The keyframe in the middle of the half segment of ``k``: one place serves all its neighbours."""
-        half = self.config.segment_m / 2.0
-        middle = (math.floor(self.travel_m[k] / half) + 0.5) * half
-        return min(bisect.bisect_left(self.travel_m, middle), len(self.travel_m) - 1)
 
     def _members(self, anchor: int, trailing: bool) -> range:
         """Keyframes within half a segment of the anchor (trailing: a whole segment before it)."""
@@ -243,23 +231,14 @@ class LoopCloser:
                 return sure
         return sure + kept
 
-    def _passes_gate(
-        self,
-        loop: Loop,
-        world_T_body: FloatArray,
-        relative_covariance: Callable[[int, int], FloatArray],
-        drift_covariance: Callable[[], FloatArray],
-    ) -> bool:
+    def _passes_gate(self, loop: Loop, world_T_body: FloatArray) -> bool:
         """chi2 of the loop under the joint marginal of both poses."""
         predicted = poses.between(world_T_body[loop.i], world_T_body[loop.j])
         error = poses.between(predicted, loop.match.ref_T_src)
         own = loop.match.information + 1e-6 * np.eye(3)
         if float(error @ own @ error) < self.gate_chi2:
             return True  # within its own noise: what the graph is unsure of beyond that only widens the gate
-        noise = np.linalg.inv(own)
-        if float(error @ np.linalg.solve(drift_covariance() + noise, error)) < self.gate_chi2:
-            return True  # a part of what it is unsure of is enough, and costs nothing
-        covariance = relative_covariance(loop.i, loop.j) + noise
+        covariance = self.skeleton.relative_covariance(loop.i, loop.j, world_T_body) + np.linalg.inv(own)
         return float(error @ np.linalg.solve(covariance, error)) < self.gate_chi2
 
     def _with_partners(self, loop: Loop, is_inside: Callable[[], bool]) -> list[Loop]:

@@ -158,7 +158,8 @@ class Slam:
             prev_T_body = poses.between(previous.local_T_body, keyframe.local_T_body)
             edges = list(self._sequential_edges(previous, keyframe, step))
             self.graph.add_keyframe(prev_T_body, edges)
-            self.loops.uncertainty.add(edges[:1] if step.blind_s > 0.0 else edges, torn=step.blind_s > 0.0)
+            torn = step.blind_s > 0.0
+            self.loops.skeleton.add_step(edges[:1] if torn else edges, self.graph.standing_poses(), torn)
         if self.loops.due():
             self._close_loops()
 
@@ -198,12 +199,11 @@ class Slam:
             world_T_body = self.graph.rough_poses()
         with self.clock.time("loop closure"):
             sigma_m = self.scans[-1].laser.range_sigma_m
-            loops = self.loops.search(
-                world_T_body, self.graph.relative_covariance, self.graph.drift_covariance, sigma_m
-            )
+            loops = self.loops.search(world_T_body, sigma_m)
+            for loop in loops:
+                self.loops.skeleton.add_loop(loop.edge(), world_T_body)
         for loop in loops:
             self.graph.add_edge(loop.edge())
-            self.loops.uncertainty.add([loop.edge()])
         if loops:
             self._settle_disputes()
 
@@ -211,10 +211,11 @@ class Slam:
         """Loops that got in and stand against others are taken out while mapping."""
         with self.clock.time("graph"):
             out, back = self.graph.settle_disputes()
-        for edge in out:
-            self.loops.uncertainty.remove(edge)
+        poses_now = self.graph.standing_poses()
+        if out:
+            self.loops.skeleton.without(out, poses_now)
         for edge in back:
-            self.loops.uncertainty.add([edge])
+            self.loops.skeleton.add_loop(edge, poses_now)
         self.loops.statistics.taken_out += len(out)
         self.loops.statistics.brought_back += len(back)
 

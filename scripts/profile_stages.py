@@ -31,6 +31,7 @@ from mfslam.evaluation.tables import as_text
 from mfslam.graph import PoseGraph
 from mfslam.kernels import align, cells, correlate, evidence, raytrace, reach, scans
 from mfslam.settings import load, preset_path
+from mfslam.skeleton import Skeleton
 from mfslam.types import MfslamError
 
 
@@ -63,10 +64,10 @@ WATCHED: list[tuple[Any, str, str, Work]] = [
     (correlate, "branch_and_bound", "top blocks x points", lambda a, _: _top_blocks(a)),
     (evidence, "evidence_grid", "rays", lambda a, _: len(a[2])),
     (evidence, "agreement", "points", lambda a, _: len(a[4])),
-    (reach, "relative_sigmas", "keyframes", lambda a, _: len(a[1])),
+    (reach, "path_covariances", "knots", lambda a, _: len(a[2])),
     (raytrace, "trace_beams", "cells", lambda a, _: _cells_of(a)),
     (PoseGraph, "_solve", "poses", lambda a, _: len(a[0])),
-    (PoseGraph, "relative_covariance", "marginals", lambda _, __: 1.0),
+    (Skeleton, "relative_covariance", "marginals", lambda _, __: 1.0),
     (PoseGraph, "settle_disputes", "calls", lambda _, __: 1.0),
     (PoseGraph, "optimize", "edges", lambda a, _: len(a[1])),
 ]

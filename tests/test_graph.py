@@ -9,7 +9,6 @@ import gtsam
 import numpy as np
 import pytest
 
-import factors
 from factors.noise import ABSOLUTE_FLOOR, RELATIVE_FLOOR
 from mfslam import se2
 from mfslam.config import GraphConfig
@@ -51,28 +50,6 @@ def square(count=40, drift=0.0):
 
 def assert_poses(poses, truth, atol):
     np.testing.assert_allclose(se2.between(truth, poses), 0.0, atol=atol)
-
-
-def marginal(graph, i, j):
-    """Covariance of i_T_j by a batch solve of the same factors in gtsam, differentiated by hand."""
-    factor_graph = gtsam.NonlinearFactorGraph()
-    factor_graph.add(factors.prior_factor(0, graph.poses()[0], HELD))
-    values = gtsam.Values()
-    for key, pose in enumerate(graph.poses()):
-        values.insert(key, gtsam.Pose2(*pose))
-    for edge in graph.live_edges():
-        factor_graph.add(factors.scan_match_factor(edge.i, edge.j, edge.i_T_j, edge.information))
-    joint = gtsam.Marginals(factor_graph, values).jointMarginalCovariance(gtsam.KeyVector([i, j]))
-    whole = np.block([[joint.at(a, b) for b in (i, j)] for a in (i, j)])
-    a, b = graph.poses()[i], graph.poses()[j]
-    i_T_j, h = se2.between(a, b), 1e-6
-    jacobian = np.empty((3, 6))
-    for n in range(6):
-        xi = np.zeros(6)
-        xi[n] = h
-        moved = se2.between(se2.compose(a, se2.exp(xi[:3])), se2.compose(b, se2.exp(xi[3:])))
-        jacobian[:, n] = se2.log(se2.between(i_T_j, moved)) / h
-    return jacobian @ whole @ jacobian.T
 
 
 def test_without_a_loop_the_chain_is_dead_reckoning():
@@ -168,33 +145,6 @@ def test_edges_that_would_corrupt_the_solver_are_refused(edge, told):
         graph.add_edge(edge)
     assert len(graph.edges) == 2
     np.testing.assert_allclose(graph.poses(), dead_reckoned([STEP, STEP]), atol=1e-9)
-
-
-def test_relative_covariance_of_one_step_is_the_inverse_of_its_information():
-    graph = chain([STEP, STEP, STEP], FULL)
-    for k in range(3):
-        np.testing.assert_allclose(graph.relative_covariance(k, k + 1), np.linalg.inv(FULL), rtol=1e-5)
-
-
-def test_relative_covariance_of_a_chain_is_carried_step_by_step():
-    """Sum over the steps of Ad(j_T_k) Sigma Ad(j_T_k)^T: each error, seen from the far end."""
-    graph = chain(np.tile(STEP, (12, 1)), FULL)
-    poses = graph.poses()
-    expected = np.zeros((3, 3))
-    for k in range(3, 11):
-        adjoint = se2.adjoint(se2.between(poses[10 + 1], poses[k + 1]))
-        expected += adjoint @ np.linalg.inv(FULL) @ adjoint.T
-    np.testing.assert_allclose(graph.relative_covariance(3, 11), expected, rtol=1e-5)
-
-
-def test_relative_covariance_in_a_loop_is_that_of_the_joint_marginal():
-    graph = chain(square(), FULL)
-    graph.config = GraphConfig(loop_kernel_sigmas=1e6)
-    graph.add_edge(Edge("loop", 0, 38, se2.between(*dead_reckoned(square())[[0, 38]]), FULL))
-    for i, j in ((0, 20), (5, 33), (33, 5), (12, 13)):
-        np.testing.assert_allclose(
-            graph.relative_covariance(i, j), marginal(graph, i, j), rtol=2e-3, atol=1e-7
-        )
 
 
 def test_false_loops_lose_their_weight_and_the_poses_do_not_notice():
@@ -396,27 +346,6 @@ def test_steps_and_optimum_are_those_of_gtsam(monkeypatch):
     assert own == pytest.approx(2.0 * factor_graph.error(optimizer.values()), rel=1e-9)
 
 
-def test_a_marginal_of_a_graph_that_grew_is_that_of_a_new_factor():
-    """Keyframes and loops that came after the factor are taken in as exactly as by a factor of all of them."""
-    steps, _ = there_and_back()
-    graph = PoseGraph(GraphConfig(loop_kernel_sigmas=1e6))
-    graph.add_first(np.zeros(3))
-    information = np.diag([2500.0, 1e4, 2.5e5])
-    for k, step in enumerate(steps, start=1):
-        graph.add_keyframe(step, [Edge("scan", k - 1, k, step, information)])
-        if k == 40:
-            graph.relative_covariance(3, 30)  # makes the factor
-        if k in (80, 95, 110):
-            graph.add_edge(
-                Edge("loop", 122 - k, k, se2.between(graph._poses[122 - k], graph._poses[k]), FULL)
-            )
-    pairs = [(0, 110), (20, 122), (12, 39), (39, 40), (30, 121), (100, 60)]
-    grown = [graph.relative_covariance(i, j) for i, j in pairs]
-    graph._marginals = None
-    for (i, j), covariance in zip(pairs, grown, strict=True):
-        np.testing.assert_allclose(covariance, graph.relative_covariance(i, j), rtol=1e-5)
-
-
 def test_a_graph_that_falls_apart_keeps_its_poses_finite():
     """Edges that leave a pose open do not blow the solution up."""
     graph = PoseGraph(GraphConfig())
@@ -425,7 +354,6 @@ def test_a_graph_that_falls_apart_keeps_its_poses_finite():
     graph.add_keyframe(STEP, [Edge("scan", 1, 2, STEP, INFORMATION)])
     graph.add_edge(Edge("loop", 1, 2, se2.compose(STEP, [0.5, 0.0, 0.0]), INFORMATION))
     assert np.isfinite(graph.poses()).all()
-    assert graph.relative_covariance(1, 2)[0, 0] < 0.01 < 1e3 < graph.relative_covariance(0, 2)[0, 0]
 
 
 def test_on_a_map_that_holds_a_loop_moves_the_latest_keyframes_alone():
@@ -442,16 +370,3 @@ def test_on_a_map_that_holds_a_loop_moves_the_latest_keyframes_alone():
     np.testing.assert_array_equal(rough[:191], before)
     assert_poses(rough[200], truth[200], 0.01)
     assert np.any(graph.poses()[:191] != before)
-
-
-def test_what_was_driven_since_the_latest_loop_is_less_than_all_that_is_uncertain():
-    steps = square(40)
-    truth = dead_reckoned(steps)
-    graph = chain(steps[:30], FULL)
-    graph.add_edge(Edge("loop", 2, 30, se2.between(truth[2], truth[30]), 1e3 * np.eye(3)))
-    for k in range(30, 40):
-        graph.add_keyframe(steps[k], [Edge("scan", k, k + 1, steps[k], FULL)])
-    drift = graph.drift_covariance()
-    np.testing.assert_allclose(drift, marginal(graph, 30, 40), rtol=0.05)
-    for older in (0, 10, 20):
-        assert np.linalg.eigvalsh(graph.relative_covariance(older, 40) - drift).min() > -1e-9

@@ -76,13 +76,13 @@ def drive(truth, world_at, drift=(0.0, 0.0, 0.0), sigma=SIGMA, config=None, beli
             continue
         edge = Edge("scan", k - 1, k, steps[k - 1], np.diag(np.asarray(sigma) ** -2.0))
         graph.add_keyframe(steps[k - 1], [edge])
-        closer.uncertainty.add([edge])
+        closer.skeleton.add_step([edge], graph.standing_poses())
         if closer.due():
-            for loop in closer.search(graph.poses(), graph.relative_covariance, graph.drift_covariance, 0.01):
+            for loop in closer.search(graph.poses(), 0.01):
                 found.append(loop)
                 if believe:
                     graph.add_edge(loop.edge())
-                    closer.uncertainty.add([loop.edge()])
+                    closer.skeleton.add_loop(loop.edge(), graph.standing_poses())
     return found, closer, graph
 
 

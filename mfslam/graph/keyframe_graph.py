@@ -8,10 +8,8 @@ import math
 
 import numpy as np
 
-from mfslam import se2
 from mfslam.config import GraphConfig
-from mfslam.graph.edges import LEAST, EdgeArrays
-from mfslam.graph.joint_marginals import JointMarginals
+from mfslam.graph.edges import EdgeArrays
 from mfslam.graph.least_squares import PoseSolver
 from mfslam.graph.robust_solve import graduated_solve
 from mfslam.kernels import graph_terms
@@ -47,7 +45,6 @@ class PoseGraph:
         self._waiting = 0  # loops that no solve has seen
         self._is_contradicted = False  # by a loop that waits
         self._has_moved = False  # since the loops were last asked whether they are satisfied
-        self._marginals: JointMarginals | None = None
         self._solved = 0, 0  # keyframes and edges when all were solved for last
 
     def __len__(self) -> int:
@@ -64,9 +61,6 @@ class PoseGraph:
     def add_keyframe(self, prev_T_body: FloatArray, edges: list[Edge]) -> None:
         """Next keyframe, placed from the previous one, with the edges that tie it to earlier ones."""
         self._add_pose(pose_kernels.compose(self._poses[-1], prev_T_body))
-        if self._marginals is not None:
-            step = [e.information for e in edges if e.j == e.i + 1 and e.kind != "loop"]
-            self._marginals.add_step(self._poses, np.sum([*step, LEAST * np.eye(3)], axis=0))
         for edge in edges:
             self.add_edge(edge)
 
@@ -85,8 +79,6 @@ class PoseGraph:
             i_T_j = pose_kernels.between(self._poses[edge.i], self._poses[edge.j])
             x, y, theta = pose_kernels.between(edge.i_T_j, i_T_j)
             self._is_contradicted |= math.hypot(x, y) > NEAR_M or abs(theta) > NEAR_RAD
-            if self._marginals is not None:
-                self._marginals.add_loop(edge.i, edge.j, edge.information + LEAST * np.eye(3))
         return number
 
     def remove_edges(self, numbers: list[int]) -> None:
@@ -105,9 +97,15 @@ class PoseGraph:
 
     def rough_poses(self) -> FloatArray:
         """(K, 3) world_T_body of every keyframe, as exact as a search needs them: solved anew only when a loop
-        contradicts them by more than NEAR_M or NEAR_RAD."""
+        contradicts them by more than NEAR_M or NEAR_RAD. To be read, until the next solve."""
         self._settle_contradiction()
-        return self._poses.copy()
+        return self.standing_poses()
+
+    def standing_poses(self) -> FloatArray:
+        """(K, 3) world_T_body of every keyframe, whatever waits to be solved. To be read, until the next solve."""
+        standing = self._poses[:]
+        standing.flags.writeable = False
+        return standing
 
     def seen_poses(self) -> FloatArray:
         """(K, 3) what `rough_poses` would say, for those who only look: the graph stays as it is, and so does all that
@@ -144,29 +142,6 @@ class PoseGraph:
             start, weights, arrays.is_loop, self.config.loop_kernel_sigmas,
             relative_gain=GAIN_ON_THE_WAY,
         )  # fmt: skip
-
-    def relative_covariance(self, i: int, j: int) -> FloatArray:
-        """(3, 3) covariance of i_T_j, in its tangent, from the joint marginal of both poses."""
-        if self._marginals is None or self._marginals.is_old():
-            solver = PoseSolver(self._arrays, len(self))
-            solver.linearise(
-                self._poses, self._in_use(), self._arrays.is_loop, self.config.loop_kernel_sigmas
-            )
-            self._marginals = JointMarginals(solver.factor, self._poses)
-        return self._marginals.relative(i, j)
-
-    def drift_covariance(self) -> FloatArray:
-        """(3, 3) of the newest keyframe in its tangent, all being known up to the one that the latest loop came from: no
-        joint marginal of it and an older one is smaller."""
-        known = self._loops[-1] if self._loops else -1
-        first = self.edges[known].j if known >= 0 else 0
-        arrays = self._arrays.since(known + 1)
-        i, j = arrays.ends.T
-        steps = (j == i + 1) & (i >= first) & ~arrays.is_loop
-        information = np.tile(LEAST * np.eye(3), (len(self) - 1 - first, 1, 1))
-        np.add.at(information, i[steps] - first, arrays.information[steps])
-        carry = se2.adjoint(se2.between(self._poses[-1], self._poses[first + 1 :]))
-        return np.asarray((carry @ np.linalg.inv(information) @ carry.swapaxes(1, 2)).sum(axis=0))
 
     def optimize(self, edges: list[Edge]) -> list[Edge]:
         """Batch solve from the poses as they stand with these edges; robust on loops by graduated
@@ -253,7 +228,7 @@ class PoseGraph:
 
     def release(self) -> None:
         """Drop the edges; the poses stay."""
-        self.edges, self._arrays, self._loops, self._marginals = [], EdgeArrays(), [], None
+        self.edges, self._arrays, self._loops = [], EdgeArrays(), []
         self._removed, self._refused, self._waiting, self._solved = set(), set(), 0, (0, 0)
 
     def edges_to_judge(self) -> list[Edge]:
@@ -274,7 +249,6 @@ class PoseGraph:
 
     def _move(self, world_T_body: FloatArray) -> None:
         self._poses[:] = world_T_body
-        self._marginals = None
 
     def _in_use(self) -> FloatArray:
         """(E,) 1 of edges in use, 0 of those that were taken out."""
@@ -312,7 +286,6 @@ class PoseGraph:
             relative_gain=GAIN_ON_THE_WAY,
         )  # fmt: skip
         self._poses[:] = solved
-        self._marginals = JointMarginals(solver.factor, self._poses)
         self._waiting, self._is_contradicted, self._has_moved = 0, False, True
         self._solved = len(self), len(self.edges)
 

@@ -75,13 +75,6 @@ class PoseSolver:
                 break
         return poses
 
-    def linearise(
-        self, poses: FloatArray, weights: FloatArray, robust: BoolArray, kernel_sigmas: float
-    ) -> None:
-        """Make `factor` that of the graph as its poses stand."""
-        kernel = _Kernel(np.flatnonzero(robust), kernel_sigmas**2)
-        self._step(poses, kernel.weights(self.chi2(poses), weights), LEAST_DAMPING)
-
     def chi2(self, poses: FloatArray) -> FloatArray:
         """(E,) of the edges at ``poses`` (K, 3)."""
         e = self.edges

@@ -142,64 +142,6 @@ def substitute(
 
 
 @kernel
-def path_columns(
-    first: IntArray, rows: IntArray, below: FloatArray, at: IntArray, given: FloatArray
-) -> tuple[IntArray, FloatArray]:
-    """Where L^-1 B is not zero, and its blocks there (P, 3, 3), ascending; B has the blocks ``given`` (M, 3, 3) in the
-    rows ``at`` (M,). Those are the paths from these rows up the elimination tree."""
-    n = first.shape[0] - 1
-    of_row = np.full(n, -1, np.int64)
-    count = 0
-    for m in range(at.shape[0]):
-        j = at[m]
-        while j >= 0 and of_row[j] < 0:
-            of_row[j] = 0
-            count += 1
-            j = rows[first[j]] if first[j] < first[j + 1] else -1
-    path = np.empty(count, np.int64)
-    blocks = np.zeros((count, 3, 3))
-    count = 0
-    for j in range(n):
-        if of_row[j] == 0:
-            of_row[j] = count
-            path[count] = j
-            count += 1
-    for m in range(at.shape[0]):
-        for u in range(3):
-            for v in range(3):
-                blocks[of_row[at[m]], u, v] += given[m, u, v]
-    for p in range(count):
-        j = path[p]
-        for q in range(first[j], first[j + 1]):
-            _subtract_product(blocks, of_row[rows[q]], below, q, blocks, p)
-    return path, blocks
-
-
-@kernel
-def path_product(
-    path_a: IntArray, a: FloatArray, path_b: IntArray, b: FloatArray, diagonal: FloatArray
-) -> FloatArray:
-    """A^T H^-1 B (3, 3) of two that `path_columns` made: the sum of a^T D^-1 b where both are not zero."""
-    out: FloatArray = np.zeros((1, 3, 3))
-    scaled = np.zeros((1, 3, 3))
-    p = q = 0
-    while p < path_a.shape[0] and q < path_b.shape[0]:
-        if path_a[p] < path_b[q]:
-            p += 1
-        elif path_a[p] > path_b[q]:
-            q += 1
-        else:
-            for u in range(3):
-                for v in range(3):
-                    scaled[0, u, v] = 0.0
-            _subtract_product(scaled, 0, diagonal, path_a[p], b, q)
-            _subtract_transposed_product(out, 0, a, p, scaled, 0)
-            p += 1
-            q += 1
-    return out.reshape(3, 3)
-
-
-@kernel
 def invert_selected(first: IntArray, rows: IntArray, diagonal: FloatArray, below: FloatArray) -> None:
     """The inverse Z in the pattern of L, in place of what `factorise` left: ``diagonal`` becomes Z_jj. The recursion of
     Takahashi, Fagan and Chen (1973), without the inverse itself, which is full.

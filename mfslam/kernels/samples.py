@@ -98,7 +98,7 @@ def _call_loop_closure() -> None:
     grid = evidence.evidence_grid(np.zeros((1, 2)), np.array([0, len(points)]), points, corner, 60, 60, 0.1)
     evidence.agreement(grid, corner, 0.1, pose, points)
     ends = np.array([0, 1])
-    reach.relative_sigmas(0, np.zeros((2, 3)), ends, np.array([-1, -1]), ends, np.ones((1, 2)))
+    reach.path_covariances(0, np.eye(3), np.zeros((2, 3)), ends, np.array([-1, -1]), ends, np.ones((1, 3, 3)))
 
 
 def _call_adjustment() -> None:
@@ -141,8 +141,6 @@ def _call_graph() -> None:
     half_matrix.add_stretches(*lower, 1, diagonal[:1], one, np.zeros((1, 3, 3)))
     block_cholesky.substitute(first, rows, diagonal, below, rhs)
     graph_terms.moved_poses(np.zeros((3, 3)), place, rhs)
-    path = block_cholesky.path_columns(first, rows, below, one, np.eye(3)[None])
-    block_cholesky.path_product(*path, *path, diagonal)
     block_cholesky.invert_selected(first, rows, diagonal, below)
 
 
