@@ -26,6 +26,9 @@ from mfslam.uncertainty import chi2_quantile
 
 GAP_M = 100.0  # driven, as it were, where nothing ties two keyframes: what is within so much is rigid
 
+MOST_MISSES = (
+    3  # times that a place may fit nothing that is seen from one spot: then it cannot be seen from there
+)
 AGREE_WITHIN_M = 20.0  # of driving between two loops that tell the same story
 
 
@@ -47,6 +50,7 @@ class LoopCloser:
         self._last_search_m = 0.0
         self._last_wide_m = -math.inf
         self._waiting: list[Loop] = []
+        self._misses: dict[tuple[int, int], int] = {}  # of a place that was tried from the spot of a knot
         self._tied_at_m: dict[int, float] = {}  # place -> travel when it was last tied to
 
     def add_keyframe(self, torn: bool = False) -> None:
@@ -60,8 +64,9 @@ class LoopCloser:
         self.travel_m.append(self.travel_m[-1] + step_m)
 
     def release(self) -> None:
-        """Drop the places; the statistics stay."""
+        """Drop the places and the skeleton; the statistics stay."""
         self._memory = PlaceMemory(self.keyframes)
+        self.skeleton = Skeleton(self._known_m, self._known_rad)
         self._waiting = []
 
     def due(self) -> bool:
@@ -86,6 +91,9 @@ class LoopCloser:
             loop = self._match(candidate, query, world_T_body, range_sigma_m)
             if loop is not None:
                 found.append(loop)
+            elif candidate.window_m <= self.config.wide_window_m:
+                pair = self.skeleton.knot_of(j), candidate.keyframe
+                self._misses[pair] = self._misses.get(pair, 0) + 1
         believed: list[Loop] = []
         for loop in self._unambiguous(found, world_T_body):
             is_inside = partial(self._passes_gate, loop, world_T_body)
@@ -117,8 +125,10 @@ class LoopCloser:
                 window_m = max(config.min_window_m, float(window[k]))
                 yield Candidate(int(knots[k]), window_m, min(window_rad, math.pi))
 
+        here = self.skeleton.knot_of(j)
         untied = (c for c in candidates(best[~are_wide]) if not self._tied_lately(c))
-        sure = list(islice(untied, config.max_near_places))
+        likely = (c for c in untied if self._misses.get((here, c.keyframe), 0) < MOST_MISSES)
+        sure = list(islice(likely, config.max_near_places))
         wide = list(candidates(best[are_wide][: config.max_places]))
         if wide and here_m - self._last_wide_m >= config.wide_every_m:
             self._last_wide_m = here_m

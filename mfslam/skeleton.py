@@ -34,7 +34,7 @@ class Skeleton:
     def __init__(self, known_m: float, known_rad: float) -> None:
         """``known_m``, ``known_rad``: one sigma within which a spot is known."""
         self._known_m, self._known_rad = known_m, known_rad
-        self._steps: list[tuple[FloatArray, FloatArray]] = []  # prev_T_body and its covariance
+        self._steps = array("d")  # of each step prev_T_body (3,) and its covariance (3, 3)
         self._loops: list[Edge] = []
         self._clear()
 
@@ -60,12 +60,13 @@ class Skeleton:
         ``torn``: nobody watched the robot on the way, and what the edges leave open is open."""
         known = np.sum([e.information for e in edges if e.kind != "heading"], axis=0)
         covariance = np.linalg.inv(known + (0.0 if torn else LEAST_KNOWN))
-        self._steps.append((edges[0].i_T_j, covariance))
+        self._steps.extend([*edges[0].i_T_j, *covariance.ravel()])
         self._take_step(world_T_body)
 
     def _take_step(self, world_T_body: FloatArray) -> None:
         j = len(self._knot)
-        step, covariance = self._steps[j - 1]
+        numbers = np.array(self._steps[12 * j - 12 : 12 * j])
+        step, covariance = numbers[:3], numbers[3:].reshape(3, 3)
         carry = se2.adjoint(se2.inverse(step))
         self._covariance.extend((carry @ self._hanging(j - 1) @ carry.T + covariance).ravel())
         self._knot.append(self._knot[-1])
@@ -81,7 +82,8 @@ class Skeleton:
         near = (np.hypot(off[:, 0], off[:, 1]) < SPACING_M) & (off[:, 2] < SAME_WAY_RAD)
         if not near.any():
             return False
-        sigma_m, sigma_rad = self.seen_from(j, world_T_body)
+        most = _cost(np.diag([self._known_m**2, 0.0, self._known_rad**2]))
+        sigma_m, sigma_rad = self.seen_from(j, world_T_body, most)
         return bool((near & (sigma_m < self._known_m) & (sigma_rad < self._known_rad)).any())
 
     def add_loop(self, edge: Edge, world_T_body: FloatArray) -> None:
@@ -97,11 +99,16 @@ class Skeleton:
         carry = se2.adjoint(se2.inverse(edge.i_T_j))
         over_loop = carry @ self._hanging(i) @ carry.T + np.linalg.inv(edge.information + LEAST_KNOWN)
         here = self._hanging(j)
-        _, costs = self._paths(b, world_T_body)
-        if costs[a] > STRETCH * (_cost(over_loop) + _cost(here)):
-            self._make_knot(j)
-            self._ties.add(a, self._knot[j], over_loop)
-        elif _cost(over_loop) < _cost(here):
+        most = STRETCH * (_cost(over_loop) + _cost(here))
+        if not np.isfinite(self._paths(b, world_T_body, most=most)[1][a]):
+            is_new_way = b == len(self._knots) - 1
+            if is_new_way or not self._is_known(j, world_T_body):
+                self._make_knot(j)
+                self._ties.add(a, self._knot[j], over_loop)
+                return
+            back = _carrying(world_T_body[j], world_T_body[self._knots[b]])
+            self._ties.add(a, b, back @ (over_loop + here) @ back.T)
+        if _cost(over_loop) < _cost(here):
             self._hang(j, a, over_loop)
 
     def without(self, loops: Sequence[Edge], world_T_body: FloatArray) -> None:
@@ -110,7 +117,7 @@ class Skeleton:
         self._loops = [edge for edge in self._loops if (edge.i, edge.j) not in out]
         later = sorted(self._loops, key=lambda edge: -max(edge.i, edge.j))
         self._clear()
-        for j in range(1, len(self._steps) + 1):
+        for j in range(1, len(self._steps) // 12 + 1):
             self._take_step(world_T_body)
             while later and max(later[-1].i, later[-1].j) == j:
                 self._take_loop(later.pop(), world_T_body)
@@ -131,14 +138,20 @@ class Skeleton:
         """(3, 3) covariance of keyframe j seen from its knot, in its tangent."""
         return np.array(self._covariance[9 * j : 9 * j + 9]).reshape(3, 3)
 
+    def knot_of(self, j: int) -> int:
+        """The keyframe on which keyframe j hangs."""
+        return self._knots[self._knot[j]]
+
     # --- what is known ------------------------------------------------------------------------------
 
-    def seen_from(self, j: int, world_T_body: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def seen_from(
+        self, j: int, world_T_body: FloatArray, most: float = np.inf
+    ) -> tuple[FloatArray, FloatArray]:
         """One-sigma position (m) and heading (rad), (N,) each, of all knots seen from keyframe j, along the surest path to
-        each: bounds of the joint marginals from above."""
+        each, if that costs at most ``most``: bounds of the joint marginals from above."""
         knot = self._knot[j]
         carry = _carrying(world_T_body[j], world_T_body[self._knots[knot]])
-        covariances, _ = self._paths(knot, world_T_body, carry @ self._hanging(j) @ carry.T)
+        covariances, _ = self._paths(knot, world_T_body, carry @ self._hanging(j) @ carry.T, most)
         variances = np.diagonal(covariances, axis1=1, axis2=2)
         return np.sqrt(variances[:, 0] + variances[:, 1]), np.sqrt(variances[:, 2])
 
@@ -154,10 +167,11 @@ class Skeleton:
 
     def _between(self, a: int, b: int, world_T_body: FloatArray) -> FloatArray:
         """(3, 3) covariance of knot b seen from knot a, in its tangent: the marginal of b while a stays where it is."""
-        from_a, from_b = self._paths(a, world_T_body)[1], self._paths(b, world_T_body)[1]
+        from_a = self._paths(a, world_T_body)[1]
         if not np.isfinite(from_a[b]):
             return ANYWHERE
-        among = from_a + from_b <= DETOUR * from_a[b]
+        most = DETOUR * from_a[b]
+        among = from_a + self._paths(b, world_T_body, most=most)[1] <= most
         among[a] = False
         row = np.where(among, np.cumsum(among) - 1, -1)
         ends, covariances = self._ties.as_arrays()
@@ -174,10 +188,10 @@ class Skeleton:
         return np.asarray(inverse_diagonal(diagonal, row[i[inner]], row[j[inner]], mixed[inner])[row[b]])
 
     def _paths(
-        self, start: int, world_T_body: FloatArray, covariance: FloatArray = NOTHING
+        self, start: int, world_T_body: FloatArray, covariance: FloatArray = NOTHING, most: float = np.inf
     ) -> tuple[FloatArray, FloatArray]:
         """`reach.path_covariances` from a knot that is itself known with ``covariance`` (3, 3)."""
-        return self._ties.paths(start, covariance, world_T_body[self._knots])
+        return self._ties.paths(start, covariance, world_T_body[self._knots], most)
 
 
 class _Ties:
@@ -202,14 +216,16 @@ class _Ties:
         """Ends (E, 2) and covariances (E, 3, 3)."""
         return np.array(self._ends).reshape(-1, 2), np.array(self._covariances).reshape(-1, 3, 3)
 
-    def paths(self, start: int, covariance: FloatArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def paths(
+        self, start: int, covariance: FloatArray, poses: FloatArray, most: float
+    ) -> tuple[FloatArray, FloatArray]:
         """`reach.path_covariances` among knots at ``poses`` (N, 3)."""
         ends, covariances = self.as_arrays()
         newest = np.full(len(poses), -1, np.int64)
         newest[: len(self._newest)] = self._newest
         older = np.array(self._older, np.int64)
         out: tuple[FloatArray, FloatArray] = reach.path_covariances(
-            start, covariance, poses, newest, older, ends.ravel(), covariances
+            start, covariance, poses, newest, older, ends.ravel(), covariances, most
         )
         return out
 

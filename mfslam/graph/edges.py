@@ -10,8 +10,6 @@ import numpy as np
 from mfslam import se2
 from mfslam.types import BoolArray, Edge, FloatArray, IntArray
 
-LEAST = 1e-6  # information that every edge has, as gtsam's factors do that mfslam makes: 1 km, 1000 rad
-
 
 class EdgeArrays:
     """Ends (E, 2), measured motions (E, 3), their information (E, 3, 3), and which are loops or scan matches (E,)."""

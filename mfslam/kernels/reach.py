@@ -37,9 +37,10 @@ def path_covariances(
     older: IntArray,
     ends: IntArray,
     covariances: FloatArray,
+    most: float,
 ) -> tuple[FloatArray, FloatArray]:
     """(K, 3, 3) covariance in the tangent of every pose of ``poses`` (K, 3), that of ``start`` being ``covariance`` (3, 3), and what
-    its surest path from there costs (K,), in m^2; infinite where there is none.
+    its surest path from there costs (K,), in m^2; infinite where there is none that costs at most ``most``.
 
     Tie e has the ends 2 e and 2 e + 1, at the poses ``ends`` (2 E,): the first sees the second with ``covariances`` (E, 3, 3)
     in the tangent of the second. The ends at a pose are linked: ``newest`` (K,) is the last of them, ``older`` (2 E,) the one
@@ -79,7 +80,7 @@ def path_covariances(
             m, e = ends[end ^ 1], end >> 1
             if not done[m]:
                 own = covariances[e, 0, 0] + covariances[e, 1, 1] + LEVER_M * LEVER_M * covariances[e, 2, 2]
-                if at + own < cost[m]:
+                if at + own < cost[m] and at + own <= most:
                     cost[m] = at + own
                     via[m] = end ^ 1
                     heapq.heappush(heap, (cost[m], m))

@@ -98,7 +98,9 @@ def _call_loop_closure() -> None:
     grid = evidence.evidence_grid(np.zeros((1, 2)), np.array([0, len(points)]), points, corner, 60, 60, 0.1)
     evidence.agreement(grid, corner, 0.1, pose, points)
     ends = np.array([0, 1])
-    reach.path_covariances(0, np.eye(3), np.zeros((2, 3)), ends, np.array([-1, -1]), ends, np.ones((1, 3, 3)))
+    reach.path_covariances(
+        0, np.eye(3), np.zeros((2, 3)), ends, np.array([-1, -1]), ends, np.ones((1, 3, 3)), 1.0
+    )
 
 
 def _call_adjustment() -> None:

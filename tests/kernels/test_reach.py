@@ -9,13 +9,13 @@ from mfslam.kernels import reach
 NOTHING = np.zeros((3, 3))
 
 
-def rows_of(count, ties):
-    """The linked ends of ties (i, j, covariance of j seen from i), and their covariances."""
+def rows_of(count, ties, most=np.inf):
+    """The linked ends of ties (i, j, covariance of j seen from i), their covariances, and what a path may cost."""
     ends = np.array([tie[:2] for tie in ties], dtype=np.int64).ravel()
     newest, older = np.full(count, -1, np.int64), np.empty(len(ends), np.int64)
     for end, pose in enumerate(ends):
         older[end], newest[pose] = newest[pose], end
-    return newest, older, ends, np.array([tie[2] for tie in ties]).reshape(-1, 3, 3)
+    return newest, older, ends, np.array([tie[2] for tie in ties]).reshape(-1, 3, 3), most
 
 
 def test_a_straight_chain():
@@ -71,3 +71,5 @@ def test_the_surest_path_counts_and_islands_are_out_of_reach():
     out, cost = reach.path_covariances(0, NOTHING, poses, *rows_of(5, ties))
     np.testing.assert_allclose(out[:4, 0, 0], [0.0, 1.0, 1.5, 0.5])
     assert np.all(np.isinf(out[4])) and np.isinf(cost[4])
+    out, cost = reach.path_covariances(0, NOTHING, poses, *rows_of(5, ties, 1.2))
+    np.testing.assert_array_equal(cost, [0.0, 1.0, np.inf, 0.5, np.inf])
