@@ -3,9 +3,9 @@ scans between them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import cast
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from mfslam.wheel_errors import WheelErrors, WheelStep
 LOCALISE_SIGMAS = np.array([0.05, 0.05, 0.02])
 # the surroundings of a keyframe: so many before it, so far off at most
 SUCCESSIVE, AROUND_M = 3, 3.0
+ASKED = 1000  # keyframes at a time
 # of a step that wheels tell, or that nothing but inertia holds, where no wall does (1 m, 1 rad; 0.2 m, 0.2 rad)
 HARDLY_ANYTHING, INERTIA = np.eye(3), 25.0 * np.eye(3)
 
@@ -49,10 +50,13 @@ class Refinement:
         self._gate_share, self._iterations = 1.0, config.refine.iterations
         self._loops = [edge for edge in edges if edge.kind == "loop" and edge.weight >= 0.5]
 
+    def forget(self) -> None:
+        """Give back the system of the last round, which is large."""
+        self._adjusted = None
+
     def round(self, points: ScanPoints, world_T_body: FloatArray) -> FloatArray:
         """(K, 3) keyframes after one more round."""
         gate_m = self.config.refine.search_radius_m * self._gate_share
-        self._adjusted = None  # its system is large
         adjusted = adjust(
             points, world_T_body, [*self._ties, *self._loops], self.wheels, self.noise,
             self._iterations, gate_m,
@@ -130,15 +134,21 @@ def _sigmas_of(information: FloatArray, config: IcpConfig) -> FloatArray:
     return np.asarray(np.sqrt(own + ADJUSTED_SIGMAS**2))
 
 
+def _near(tree: Any, points_m: FloatArray) -> Iterator[list[int]]:
+    """Of each point those of the tree within AROUND_M. Some points at a time: where a log passes a spot again and again, the
+    lists of all take gigabytes."""
+    for first in range(0, len(points_m), ASKED):
+        yield from tree.query_ball_point(points_m[first : first + ASKED], AROUND_M)
+
+
 def _around(world_T_body: FloatArray, most_others: int) -> list[set[int]]:
     """Of each keyframe those whose surface its surroundings are known by: the last few, and the nearest of so many
     other passes by the same spot; and those for which it is one itself."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(world_T_body[:, :2])
-    nearby = cast(Sequence[list[int]], tree.query_ball_point(world_T_body[:, :2], AROUND_M))
     around: list[set[int]] = [{k} for k in range(len(world_T_body))]
-    for j, near in enumerate(nearby):
+    for j, near in enumerate(_near(tree, world_T_body[:, :2])):
         others = np.array([i for i in near if i < j - SUCCESSIVE], dtype=np.int64)
         for i in [
             *range(max(0, j - SUCCESSIVE), j),

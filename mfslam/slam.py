@@ -289,6 +289,7 @@ class Slam:
         for _ in range(config.refine.passes):
             tell("adjusting all keyframes and their walls together")
             with self.clock.time("adjustment"):
+                refinement.forget()
                 world_T_keyframe = self.graph.poses()
                 motions = self._smooth(self._scan_poses(world_T_keyframe)).twists
                 lasers = [self.scans[k.scan_index].laser for k in self.keyframes]
@@ -303,6 +304,7 @@ class Slam:
                 world_T_keyframe = refinement.round(points, world_T_keyframe)
                 if len(refinement.wheels):
                     motion.wheel_errors.found(refinement.wheels.mean_errors, refinement.wheels.share)
+                del points  # keyframes have their own views, until they are deskewed anew
                 edges = self.graph.place(world_T_keyframe, motion.revised(edges))
         self.information = refinement.information()
         return edges

@@ -146,7 +146,7 @@ class Solver:
         self._parts, self._coarse, self._own, self._precondition = [], None, None, np.copy
 
     def take(self, parts: Sequence[Part]) -> None:
-        """The next matrix, as the sum of its parts. Raises RuntimeError where it is singular."""
+        """The next matrix, as the sum of its parts. Raises RuntimeError or LinAlgError where it is singular."""
         from scipy.sparse.linalg import splu
 
         self._parts = list(parts)
@@ -161,15 +161,16 @@ class Solver:
         ]
         filled_up = np.arange(3 * unknowns, count * size) % size
         within[-1, filled_up, filled_up] = 1.0
-        self._coarse = sum(part.whole() for part in coarse)
-        factors: Any = splu(  # the matrix is symmetric: its rows are its columns
-            self._coarse.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
         # single precision: these are only read, to say about where the solution is
         own = np.empty(within.shape, np.float32)
         for first in range(0, count, INVERTED):
             own[first : first + INVERTED] = np.linalg.inv(within[first : first + INVERTED])
-        del within
+        del within  # before the coarse matrix and its factors are in memory
+        self._coarse = sum(part.whole() for part in coarse)
+        del coarse
+        factors: Any = splu(  # the matrix is symmetric: its rows are its columns
+            self._coarse.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
         self._own = own
 
         def precondition(rhs: FloatArray) -> FloatArray:
