@@ -301,7 +301,7 @@ class RefineConfig(_Stage):
         description="Rounds of deskewing all keyframes and adjusting them with the walls that they saw.",
     )
     iterations: int = Field(
-        8, ge=1, description="Iterations of the first round at most; later ones need half."
+        4, ge=1, description="Iterations of the first round at most; later ones need half."
     )
     search_radius_m: float = Field(
         0.25,

@@ -25,6 +25,7 @@ SETTLED_M, STALLED = 0.0015, 0.95  # change over SPAN keyframes (RMS), and again
 SPAN = 50
 PROBE_ITERATIONS = 2  # iterations in which the wheels' noise is looked at closely
 KERNEL_SIGMAS, NARROWING = 3.0, 0.5  # of the Geman-McClure kernel on points; its scale from turn to turn
+STEP_ERROR = 0.01  # of a step, relative: lines and weights are found anew after it, which changes more than that
 LOOP_KERNEL_SIGMAS = 3.0  # of the Cauchy kernel on other edges
 
 
@@ -68,7 +69,7 @@ def adjust(
         _add_edges(equations, edges, poses)
         equations.hold(0)
         solver.take([walls, equations.matrix()])
-        step = solver.solve(equations.rhs.reshape(-1, 1)).reshape(-1, 3)
+        step = solver.solve(equations.rhs.reshape(-1, 1), STEP_ERROR).reshape(-1, 3)
         moved = se2.compose(poses, se2.exp(step[:count]))
         change_m = _change_m(poses, moved)
         poses = moved

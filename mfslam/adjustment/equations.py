@@ -13,8 +13,7 @@ from mfslam.kernels import half_matrix
 from mfslam.types import BoolArray, Float32Array, FloatArray, IntArray
 
 HELD = 1e10  # information that nails an unknown
-# of conjugate gradients: each iteration of Gauss-Newton leaves more than that error
-RELATIVE_ERROR, MOST_STEPS = 1e-3, 200
+MOST_STEPS = 200  # of conjugate gradients
 INVERTED = 64  # blocks of stretches at a time
 STRETCH, MOST_STRETCHES = 6, 1200  # poses in a stretch, on logs that are not too long for it
 
@@ -172,12 +171,13 @@ class Solver:
             self._coarse.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
         self._own = own
+        carry, carry_back = self._carry, self._carry_back  # not self: nothing would free a ring before the next collection
 
         def precondition(rhs: FloatArray) -> FloatArray:
             padded = np.zeros((count, size, rhs.shape[1]), np.float32)
             padded.reshape(-1, rhs.shape[1])[: len(rhs)] = rhs
             single = (own @ padded).reshape(-1, rhs.shape[1])[: len(rhs)]
-            return np.asarray(single + self._carry @ factors.solve(self._carry_back @ rhs))
+            return np.asarray(single + carry @ factors.solve(carry_back @ rhs))
 
         self._precondition = precondition
 
@@ -201,7 +201,7 @@ class Solver:
             part.add_product(x, out)
         return out
 
-    def solve(self, rhs: FloatArray, relative_error: float = RELATIVE_ERROR) -> FloatArray:
+    def solve(self, rhs: FloatArray, relative_error: float) -> FloatArray:
         """x of H x = ``rhs`` (3 U, R), of R right-hand sides at once: reading H is what takes time."""
         x, left = np.zeros_like(rhs), rhs.copy()
         # sums of products, not BLAS: its threads cost more than they bring here

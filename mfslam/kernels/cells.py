@@ -34,18 +34,25 @@ def build_cells(oriented: FloatArray, cell: float) -> CellTable:
     """Hash grid over oriented points (M, 4): rows x, y, nx, ny, which it keeps sorted by cell."""
     m = oriented.shape[0]
     capacity = 16
-    while capacity < 2 * m:
+    while capacity < m // 2:  # a small table stays in the processor's cache
         capacity *= 2
-    index = np.empty((capacity, 3), np.int64)
-    for s in range(capacity):
-        index[s, 0], index[s, 1], index[s, 2] = FREE, 0, 0
     slots = np.empty(m, np.int64)
-    for k in range(m):
-        key = cell_key(math.floor(oriented[k, 0] / cell), math.floor(oriented[k, 1] / cell))
-        slot = find_slot(index, key)
-        index[slot, 0] = key
-        index[slot, 2] += 1
-        slots[k] = slot
+    while True:
+        index = np.empty((capacity, 3), np.int64)
+        for s in range(capacity):
+            index[s, 0], index[s, 1], index[s, 2] = FREE, 0, 0
+        used = k = 0
+        while k < m and 2 * used <= capacity:
+            key = cell_key(math.floor(oriented[k, 0] / cell), math.floor(oriented[k, 1] / cell))
+            slot = find_slot(index, key)
+            used += index[slot, 0] == FREE
+            index[slot, 0] = key
+            index[slot, 2] += 1
+            slots[k] = slot
+            k += 1
+        if 2 * used <= capacity:
+            break
+        capacity *= 2
     total = 0
     for s in range(capacity):
         count = index[s, 2]
