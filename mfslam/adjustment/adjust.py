@@ -25,7 +25,7 @@ SETTLED_M, STALLED = 0.0015, 0.95  # change over SPAN keyframes (RMS), and again
 SPAN = 50
 PROBE_ITERATIONS = 2  # iterations in which the wheels' noise is looked at closely
 KERNEL_SIGMAS, NARROWING = 3.0, 0.5  # of the Geman-McClure kernel on points; its scale from turn to turn
-STEP_ERROR = 0.01  # of a step, relative: lines and weights are found anew after it, which changes more than that
+STEP_ERROR = 0.01  # of a step, relative: finding lines and weights anew after it changes more
 LOOP_KERNEL_SIGMAS = 3.0  # of the Cauchy kernel on other edges
 
 

@@ -171,7 +171,7 @@ class Solver:
             self._coarse.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
         self._own = own
-        carry, carry_back = self._carry, self._carry_back  # not self: nothing would free a ring before the next collection
+        carry, carry_back = self._carry, self._carry_back  # with self, only a collection would free it
 
         def precondition(rhs: FloatArray) -> FloatArray:
             padded = np.zeros((count, size, rhs.shape[1]), np.float32)
