@@ -1,12 +1,12 @@
 """Systematic errors of the wheels, learned while driving, and how large the rest of their errors is.
 
 Wheels err mostly in the same way all the time: a radius that is not quite known, a track that is wider in
-turns. To first order a true step is
+turns. The twist of a true step is
 
-    x' = (1 + scale) x,        theta' = (1 + turn_scale) theta + drift x
+    x' = (1 + scale) x,        y' = (1 + scale) y,        theta' = (1 + turn_scale) theta + drift x
 
-of the x (m, signed) and theta (rad) that the wheels tell: the radii and the track of a differential drive
-(eqs. 8-11) have just these three errors. Steps that scans matched tell the three, by recursive least
+of the twist (x, y in m, theta in rad) that the wheels tell: the radii and the track of a differential drive
+(eqs. 8-11) have to first order just these three errors. Steps that scans matched tell the three, by recursive least
 squares with the sigmas of `OdometryConfig` as prior: nothing is learned that was not thought possible.
 """
 
@@ -17,7 +17,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mfslam import se2
 from mfslam.config import OdometryConfig
+from mfslam.kernels import poses
 from mfslam.odometry import factor_variances, step_sigmas
 from mfslam.types import FloatArray
 
@@ -26,21 +28,29 @@ WINDOW_M, WINDOW_RAD = 1.0, 0.5
 MEMORY_M = 200.0  # what was learned fades over this distance: floors and loads change
 SURE_SIGMA_M = 0.1  # along the motion: a match less sure than this has held on to the wheels
 PRIOR_WINDOWS = 5.0  # measurements that the configured noise counts as
-INVERSE_ROUNDS = 3
 CONTRADICTION_SIGMAS = 3.0  # a step farther off the scans than this has slipped
+ORIGIN = np.zeros(3)
+
+
+def true_twists(told: FloatArray, errors: FloatArray) -> FloatArray:
+    """(..., 3) twists of true steps, of those told by wheels with systematic ``errors`` (..., 3), as in
+    `WheelErrors.as_array`."""
+    x, y, theta = told[..., 0], told[..., 1], told[..., 2]
+    scale, turn_scale, drift = errors[..., 0], errors[..., 1], errors[..., 2]
+    return np.stack([(1.0 + scale) * x, (1.0 + scale) * y, (1.0 + turn_scale) * theta + drift * x], axis=-1)
+
+
+def told_twists(true: FloatArray, errors: FloatArray) -> FloatArray:
+    """(..., 3) the inverse of `true_twists`."""
+    scale, turn_scale, drift = errors[..., 0], errors[..., 1], errors[..., 2]
+    x, y = true[..., 0] / (1.0 + scale), true[..., 1] / (1.0 + scale)
+    return np.stack([x, y, (true[..., 2] - drift * x) / (1.0 + turn_scale)], axis=-1)
 
 
 def as_told(true: FloatArray, errors: FloatArray) -> FloatArray:
-    """(N, 3) what wheels with systematic ``errors`` (N, 3), as in `WheelErrors.as_array`, tell of true steps (N, 3): the
-    inverse of `WheelErrors.corrected`."""
-    scale, turn_scale, drift = errors.T
-    x, y, theta = true.T
-    told_x, told_y = x / (1.0 + scale), y / (1.0 + scale)
-    for _ in range(INVERSE_ROUNDS):  # the turn that was added depends on what was told
-        turn = (theta - drift * told_x) / (1.0 + turn_scale)
-        c, s = (f(0.5 * (turn - theta)) / (1.0 + scale) for f in (np.cos, np.sin))
-        told_x, told_y = c * x - s * y, s * x + c * y
-    return np.stack([told_x, told_y, turn], axis=1)
+    """(N, 3) what wheels with systematic ``errors`` (N, 3) tell of true steps (N, 3): the inverse of
+    `WheelErrors.corrected`."""
+    return se2.exp(told_twists(se2.log(true), errors))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -107,20 +117,11 @@ class WheelErrors:
 
     def corrected(self, step: FloatArray) -> FloatArray:
         """A step (3,) as told by the wheels, without the errors learned so far."""
-        x, _, theta = step.tolist()
-        return self._bent(step, 1.0 + self.scale, self.turn_scale * theta + self.drift_rad_per_m * x)
+        return np.asarray(poses.advance(ORIGIN, true_twists(poses.log(step), self.as_array()), 1.0))
 
     def told(self, corrected: FloatArray) -> FloatArray:
         """The inverse of `corrected`: what the wheels told."""
-        return np.asarray(as_told(corrected[None], self.as_array()[None])[0])
-
-    @staticmethod
-    def _bent(step: FloatArray, scale: float, added_rad: float) -> FloatArray:
-        """A step scaled, with a turn added evenly along it."""
-        c, s = scale * math.cos(0.5 * added_rad), scale * math.sin(0.5 * added_rad)
-        x, y, theta = step.tolist()
-        turn = math.pi - (math.pi - (theta + added_rad)) % (2.0 * math.pi)  # on (-pi, pi]
-        return np.array([c * x - s * y, s * x + c * y, turn])
+        return as_told(corrected, self.as_array())
 
     def factor(self, step: WheelStep) -> tuple[FloatArray, FloatArray]:
         """The corrected step (3,) as a factor and its information (3, 3): by the noise that was learned, less where

@@ -57,7 +57,7 @@ def test_told_undoes_corrected(step, wrong):
     errors = WheelErrors(CONFIG)
     errors.scale, errors.drift_rad_per_m, errors.turn_scale = wrong
     step = np.array(step)
-    np.testing.assert_allclose(errors.told(errors.corrected(step)), step, atol=1e-3)
+    np.testing.assert_allclose(errors.told(errors.corrected(step)), step, atol=1e-9)
 
 
 def test_matches_that_slide_along_a_corridor_tell_nothing_of_the_scale():

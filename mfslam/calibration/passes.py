@@ -1,4 +1,5 @@
-"""Map and calibrate by turns, until nothing changes that matters: what is found depends on the deskewing, and that on it."""
+"""Map and calibrate by turns, until nothing changes that matters: what is found depends on the deskewing, and that on it.
+Then once more on the adjusted trajectory."""
 
 from __future__ import annotations
 
@@ -53,6 +54,7 @@ def calibrate_by_turns(
     ``mapped``: a run over the log with a config. ``cut_short``: whether the user wants no further pass.
     """
     first = latest = None
+    seen_from = config  # what the latest assumed
     blind = False  # whether the wheels spoilt a pass: then it is made by the scans alone
     counted = 0
     for _ in range(MOST_PASSES):
@@ -63,12 +65,17 @@ def calibrate_by_turns(
             continue
         if found is None:
             break
-        latest, first = found, first or found
+        latest, first, seen_from = found, first or found, config
         counted += not found.oddities
         if cut_short() or counted == PASSES or not (found.significant or found.oddities):
             break
         config, blind = applied(config, found), False
-    return None if latest is None or first is None else latest.since(first)
+    if latest is None or first is None:
+        return None
+    if not cut_short():
+        tell("refining the calibration on the adjusted trajectory")
+        latest = calibrate(*mapped(applied(seen_from, latest))) or latest
+    return latest.since(first)
 
 
 def _without_wheels(config: Config) -> Config:

@@ -24,10 +24,13 @@ class Problem:
     noise of the ticks in both, e and its derivative, would make wheels seem to turn less than they do.
     """
 
-    def __init__(self, record: Record, law: WheelLaw, clock: bool = True, delay_s: float = 0.0) -> None:
+    def __init__(
+        self, record: Record, law: WheelLaw, clock: bool = True, delay_s: float = 0.0, length: float = 1.0
+    ) -> None:
+        """``length``: of the windows, times as long as usual."""
         self.record, self.law = record, law
         self.track = WheelTrack(record.knots_s, record.told_steps, law)
-        windows = record.windows()
+        windows = record.windows(length)
         reach_s = 2.0 * SHIFT_S if clock else 0.0
         ta, tb = record.times_s[windows.a] + delay_s, record.times_s[windows.b] + delay_s
         self.windows = without(windows, ~self.track.unbroken(ta - reach_s, tb + reach_s))
@@ -39,6 +42,11 @@ class Problem:
         )
         self.middle_s = 0.5 * float(record.times_s[0] + record.times_s[-1])
         self.n_wheel = len(law.names)
+
+    @property
+    def geometry(self) -> int:
+        """How many of the values are of wheels and mount: the clock's come last."""
+        return self.n_wheel + len(MOUNT)
 
     def times(self, values: FloatArray, index: IntArray) -> FloatArray:
         """Instants of scans on the wheels' clock."""

@@ -31,9 +31,9 @@ class Record:
     gyro_times_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     gyro_yaw_rad: FloatArray = field(default_factory=lambda: np.zeros(0))
 
-    def windows(self) -> Windows:
-        """Motions of the laser, end to end."""
-        return cut_windows(self)
+    def windows(self, factor: float = 1.0) -> Windows:
+        """Motions of the laser, end to end; ``factor``: times as long as usual."""
+        return cut_windows(self, factor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +73,10 @@ class Cut:
     least_rad: float
     longest_s: float
 
+    def times(self, factor: float) -> Cut:
+        """Windows so many times as long."""
+        return Cut(factor * self.least_m, factor * self.least_rad, factor * self.longest_s)
+
 
 SHORT = Cut(0.08, 0.08, 1.2)
 # of wheels read at instants of which only so much is known that they are near the scans': in a short window they tell of
@@ -81,10 +85,11 @@ LONG = Cut(1.0, 0.6, 20.0)
 STANDING_M, STANDING_RAD = 0.02, 0.02  # a window in which less happens says nothing of wheels
 
 
-def cut_windows(record: Record) -> Windows:
-    """Windows of motion, end to end; standing, gaps and scans that are not sure lie between them."""
+def cut_windows(record: Record, factor: float = 1.0) -> Windows:
+    """Windows of motion, end to end; standing, gaps and scans that are not sure lie between them. ``factor``: times as long
+    as usual."""
     times, poses, sure = record.times_s, record.world_T_laser, record.sure
-    cut = LONG if record.with_scans else SHORT
+    cut = (LONG if record.with_scans else SHORT).times(factor)
     moved = se2.between(poses[:-1], poses[1:])
     way = np.concatenate([[0.0], np.cumsum(np.hypot(moved[:, 0], moved[:, 1]))])
     turn = np.concatenate([[0.0], np.cumsum(np.abs(moved[:, 2]))])

@@ -13,8 +13,9 @@ from mfslam.calibration.laser_turn import find_turn
 from mfslam.calibration.outcome import Calibration, Estimate, calibration_of, gyro_estimates, turn_estimates
 from mfslam.calibration.problem import Problem
 from mfslam.calibration.record import Record, cut_windows
-from mfslam.calibration.solve import solve
+from mfslam.calibration.solve import Solved, solve
 from mfslam.calibration.start import find_start
+from mfslam.calibration.told_poses import paired
 from mfslam.calibration.wheel_track import DifferentialDrive, PoseOdometry, WheelLaw
 from mfslam.slam import Slam, Solution
 from mfslam.types import FloatArray
@@ -23,6 +24,7 @@ LEAST_WINDOWS = 50
 LEAST_CORRELATION = 0.5  # of the laser's turns and the wheels': below, they do not speak of one robot
 LYING_S = 0.02  # stamps that go back by more tell no delay
 POOR_FIT = 0.4
+LENGTHS = (0.5, 2.0)  # of windows, times as long as usual: how far they disagree is a part of sigma
 
 
 def record_of(slam: Slam, solution: Solution) -> Record | None:
@@ -38,10 +40,12 @@ def record_of(slam: Slam, solution: Solution) -> Record | None:
     knots, steps = np.array(motion.told_times_s), np.array(motion.told_steps).reshape(-1, 3)
     told = motion.told_with_scans
     if told and all(pose is not None for pose in told):  # the wheels' pose at each scan, whatever the stamps
-        poses = np.array(told)
+        usable = np.ones(len(times), np.bool_)
+        usable[motion.jumps] = False
+        poses = paired(np.array(told), times, usable[1:])
         knots = times
         steps = np.vstack([np.full((1, 3), np.nan), se2.between(poses[:-1], poses[1:])])
-        steps[motion.jumps] = np.nan
+        steps[~usable] = np.nan
     # as matched: a body that never slips sideways, as the smoothing likes it, has its laser where it was assumed
     matched = se2.compose(solution.world_T_reference, se2.exp(-solution.smoothed_by))
     world_T_laser = se2.compose(matched, laser.body_T_laser)
@@ -67,8 +71,7 @@ def calibrate(slam: Slam, solution: Solution) -> Calibration | None:
     if len(windows) < LEAST_WINDOWS:
         return None
     config = slam.config
-    # the recorder put poses and scans together, whatever their stamps: a delay could be told, but not taken off
-    clock = record.stamps_back_s < LYING_S and not slam.motion.comes_with_scans
+    clock = record.stamps_back_s < LYING_S
     start = find_start(record, windows, config.wheels.track_m, clock)
     if abs(start.correlation) < LEAST_CORRELATION:
         return None
@@ -84,10 +87,27 @@ def calibrate(slam: Slam, solution: Solution) -> Calibration | None:
     if slam.motion.counts_wheels:
         values[2] = start.track_share
     solved = solve(problem, values)
+    if record.with_scans:
+        scatter = scatter_over_lengths(problem, start.delay_s, solved)
+        # the recorder put poses and scans together, whatever their stamps: a delay can be told, but not taken off
+        solved = replace(solved, covariance=solved.covariance + scatter).of(problem.geometry)
+        clock = False
     found = calibration_of(solved, record, start, config)
     gyro = fit_gyro(record, float(solved.values[-2]) if clock else 0.0)
     turn = None if slam.motion.comes_with_scans else find_turn(slam, solution)
     return found.extended(gyro_estimates(gyro, config)).extended(turn_estimates(turn, config))
+
+
+def scatter_over_lengths(problem: Problem, delay_s: float, solved: Solved) -> FloatArray:
+    """(P, P) by how far what longer and shorter windows tell is off ``solved``: of poses that were read at instants of
+    which nobody knows how near the scans' they are, all that the model misses depends on the length of the windows."""
+    out = np.zeros_like(solved.covariance)
+    for length in LENGTHS:
+        other = Problem(problem.record, problem.law, problem.clock, delay_s, length)
+        if len(other.windows) >= LEAST_WINDOWS:
+            off = solve(other, solved.values).values - solved.values
+            out += np.outer(off, off)
+    return out
 
 
 def together(calibrations: Sequence[Calibration]) -> Calibration:

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from mfslam import se2
+from mfslam import se2, wheel_errors
 from mfslam.types import BoolArray, FloatArray, IntArray
 
 
@@ -64,23 +64,17 @@ class DifferentialDrive:
 
 @dataclass(frozen=True, eq=False)
 class PoseOdometry:
-    """Poses of unknown wheels: x' = scale x, y' = scale y, theta' = turn theta + drift x: the law of `mfslam.wheel_errors`,
-    of twists."""
+    """Poses of unknown wheels: the law of `mfslam.wheel_errors`, with 1 + scale and 1 + turn_scale as values."""
 
     names: tuple[str, ...] = ("scale", "turn_scale", "drift")
     start: FloatArray = field(default_factory=lambda: np.array([1.0, 1.0, 0.0]))
     prior_sigmas: FloatArray = field(default_factory=lambda: np.array([0.3, 0.5, 0.3]))
 
     def true_twists(self, told: FloatArray, values: FloatArray) -> FloatArray:
-        scale, turn, drift = values
-        return np.stack(
-            [scale * told[:, 0], scale * told[:, 1], turn * told[:, 2] + drift * told[:, 0]], axis=1
-        )
+        return wheel_errors.true_twists(told, values - self.start)
 
     def told_twists(self, true: FloatArray, values: FloatArray) -> FloatArray:
-        scale, turn, drift = values
-        x = true[:, 0] / scale
-        return np.stack([x, true[:, 1] / scale, (true[:, 2] - drift * x) / turn], axis=1)
+        return wheel_errors.told_twists(true, values - self.start)
 
 
 class WheelTrack:
