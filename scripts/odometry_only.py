@@ -61,9 +61,10 @@ def reckoned(slam: Slam, solution: Solution, law: WheelLaw, values: FloatArray, 
 
 def laws(config: Config, found: Calibration, counts_wheels: bool) -> tuple[WheelLaw, FloatArray]:
     """The law of the wheels as ``config`` has them, and its values as found."""
+    if not counts_wheels:  # nothing is written of these: what is sure counts
+        sure = [found[name] for name in ("scale", "turn_scale", "drift")]
+        return PoseOdometry(), np.array([e.value if e.significant else e.before for e in sure])
     values = {e.name: e.value for e in found.estimates}
-    if not counts_wheels:
-        return PoseOdometry(), np.array([values[n] for n in ("scale", "turn_scale", "drift")])
     wheels = config.wheels
     nominal = (wheels.radius_left_m, wheels.radius_right_m, wheels.track_m)
     names = ("radius_left", "radius_right", "track")
