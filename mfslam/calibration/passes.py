@@ -54,7 +54,7 @@ def calibrate_by_turns(
     ``mapped``: a run over the log with a config. ``cut_short``: whether the user wants no further pass.
     """
     first = latest = None
-    seen_from = config  # what the latest assumed
+    assumed = config
     blind = False  # whether the wheels spoilt a pass: then it is made by the scans alone
     counted = 0
     for _ in range(MOST_PASSES):
@@ -65,16 +65,17 @@ def calibrate_by_turns(
             continue
         if found is None:
             break
-        latest, first, seen_from = found, first or found, config
+        latest, first = found, first or found
         counted += not found.oddities
         if cut_short() or counted == PASSES or not (found.significant or found.oddities):
             break
-        config, blind = applied(config, found), False
+        # by what it is surely other than at first: a period that is nearly right by now is still followed, as delays need it
+        config, blind = applied(assumed, found.since(first)), False
     if latest is None or first is None:
         return None
     if not cut_short():
         tell("refining the calibration on the adjusted trajectory")
-        latest = calibrate(*mapped(applied(seen_from, latest))) or latest
+        latest = calibrate(*mapped(applied(assumed, latest.since(first)))) or latest
     return latest.since(first)
 
 
