@@ -50,8 +50,8 @@ class LoopCloser:
         self._last_search_m = 0.0
         self._last_wide_m = -math.inf
         self._waiting: list[Loop] = []
-        self._misses: dict[tuple[int, int], int] = {}  # of a place that was tried from the spot of a knot
-        self._tied_at_m: dict[int, float] = {}  # place -> travel when it was last tied to
+        self._misses: dict[tuple[int, int], int] = {}  # of a stretch of path that was tried from a knot
+        self._tied_at_m: dict[int, float] = {}  # stretch of path -> travel when it was last tied to
 
     def add_keyframe(self, torn: bool = False) -> None:
         """Note the newest keyframe; call once for each. ``torn``: how the robot came there is not known, so no
@@ -92,14 +92,14 @@ class LoopCloser:
             if loop is not None:
                 found.append(loop)
             elif candidate.window_m <= self.config.wide_window_m:
-                pair = self.skeleton.knot_of(j), candidate.keyframe
+                pair = self.skeleton.knot_of(j), self._stretch(candidate.keyframe)
                 self._misses[pair] = self._misses.get(pair, 0) + 1
         believed: list[Loop] = []
         for loop in self._unambiguous(found, world_T_body):
             is_inside = partial(self._passes_gate, loop, world_T_body)
             believed += self._with_partners(loop, is_inside)
         self.statistics.accepted += len(believed)
-        self._tied_at_m.update((loop.i, self.travel_m[loop.j]) for loop in believed)
+        self._tied_at_m.update((self._stretch(loop.i), self.travel_m[loop.j]) for loop in believed)
         return believed
 
     # --- candidates ---------------------------------------------------------------------------------
@@ -108,26 +108,30 @@ class LoopCloser:
         """Old places that the newest keyframe may see, the nearest first."""
         config, here_m = self.config, self.travel_m[j]
         knots = self.skeleton.knots
-        is_old = np.frombuffer(self.travel_m)[knots] <= here_m - config.min_travel_m
+        travel_m = np.frombuffer(self.travel_m)[knots]
+        is_old = travel_m <= here_m - config.min_travel_m
         if not is_old.any():
             return []
         sigma_m, sigma_rad = self.skeleton.seen_from(j, world_T_body)
         distance = np.hypot(*(world_T_body[knots, :2] - world_T_body[j, :2]).T)
         window = config.window_sigmas * sigma_m
-        is_unsure = (sigma_m > self._known_m) | (sigma_rad > self._known_rad)
-        near = np.flatnonzero(is_old & is_unsure & (distance < config.reach_m * 0.75 + window))
-        best = near[np.argsort(distance[near], kind="stable")]
+        near = np.flatnonzero(is_old & (distance < config.reach_m * 0.75 + window))
+        # one place per half segment of path: passes by the same spot count apart
+        near = near[np.argsort(distance[near], kind="stable")]
+        stretches = (travel_m[near] / (config.segment_m / 2.0)).astype(np.int64)
+        best = near[np.sort(np.unique(stretches, return_index=True)[1])]
+        best = best[(sigma_m[best] > self._known_m) | (sigma_rad[best] > self._known_rad)]
         are_wide = window[best] > config.wide_window_m
 
         def candidates(among: IntArray) -> Iterator[Candidate]:
             for k in among.tolist():
                 window_rad = max(0.1, config.window_sigmas * float(sigma_rad[k]))
                 window_m = max(config.min_window_m, float(window[k]))
-                yield Candidate(int(knots[k]), window_m, min(window_rad, math.pi))
+                yield Candidate(self._anchor(int(knots[k])), window_m, min(window_rad, math.pi))
 
         here = self.skeleton.knot_of(j)
         untied = (c for c in candidates(best[~are_wide]) if not self._tied_lately(c))
-        likely = (c for c in untied if self._misses.get((here, c.keyframe), 0) < MOST_MISSES)
+        likely = (c for c in untied if self._misses.get((here, self._stretch(c.keyframe)), 0) < MOST_MISSES)
         sure = list(islice(likely, config.max_near_places))
         wide = list(candidates(best[are_wide][: config.max_places]))
         if wide and here_m - self._last_wide_m >= config.wide_every_m:
@@ -137,8 +141,18 @@ class LoopCloser:
 
     def _tied_lately(self, candidate: Candidate) -> bool:
         """Whether this stretch of path was tied to the same place already: once more says nothing new."""
-        last_m = self._tied_at_m.get(candidate.keyframe)
+        last_m = self._tied_at_m.get(self._stretch(candidate.keyframe))
         return last_m is not None and self.travel_m[-1] - last_m < self.config.segment_m / 2.0
+
+    def _anchor(self, k: int) -> int:
+        """The keyframe in the middle of the half segment of keyframe k."""
+        half_m = self.config.segment_m / 2.0
+        middle_m = (self._stretch(k) + 0.5) * half_m
+        return min(bisect.bisect_left(self.travel_m, middle_m), len(self.travel_m) - 1)
+
+    def _stretch(self, k: int) -> int:
+        """Number of the half segment of path that keyframe k lies on."""
+        return int(self.travel_m[k] / (self.config.segment_m / 2.0))
 
     def _members(self, anchor: int, trailing: bool) -> range:
         """Keyframes within half a segment of the anchor (trailing: a whole segment before it)."""
