@@ -89,7 +89,7 @@ def instead(options: argparse.Namespace, command: str) -> None:
     """The tables that are asked for by name, each with markers of its own."""
     made = {}
     if options.simulated:
-        made["simulated"] = ("Simulated offices with exact truth", simulated_table())
+        made["simulated"] = ("Simulated offices with exact truth", simulated_table(options.set))
     if options.ablation:
         logs = find_logs(options.data, options.only)
         with tempfile.TemporaryDirectory(prefix="mfslam-ablation-") as scratch:

@@ -76,12 +76,12 @@ def map_log(simulation: Simulation, laser: str, settings: Iterable[str] = ()) ->
     )
 
 
-def simulated_table() -> Table:
+def simulated_table(settings: Iterable[str]) -> Table:
     """Every laser through the long office."""
     rows = [["laser", "m", "scans", "ATE mm", "ATE deg", "keyframes: mm", "deg", "CPU s"]]
     for laser in LASERS:
         say(f"{OFFICE}, {laser}")
-        m = map_log(make_log(OFFICE, laser), laser)
+        m = map_log(make_log(OFFICE, laser), laser, settings)
         errors = [f"{1e3 * m.ate_m:.1f}", f"{m.ate_deg:.3f}"]
         errors += [f"{1e3 * m.keyframes_ate_m:.1f}", f"{m.keyframes_ate_deg:.3f}"]
         rows.append([laser, f"{m.travelled_m:.0f}", f"{m.scans:,}", *errors, f"{m.cpu_s:.0f}"])
