@@ -304,7 +304,7 @@ class RefineConfig(_Stage):
         4, ge=1, description="Iterations of the first round at most; later ones need half."
     )
     search_radius_m: float = Field(
-        0.25,
+        0.12,
         gt=0,
         description="How far a point may lie from its wall in the first round, m; later half of it.",
     )

@@ -292,11 +292,12 @@ class Slam:
                 refinement.forget()
                 world_T_keyframe = self.graph.poses()
                 motions = self._smooth(self._scan_poses(world_T_keyframe)).twists
-                lasers = [self.scans[k.scan_index].laser for k in self.keyframes]
+                scans = [self.scans[k.scan_index] for k in self.keyframes]
                 points = ScanPoints.of(
                     self._deskewed(motions),
-                    sum(laser.angles_rad.size for laser in lasers),
-                    np.array([laser.body_T_laser[:2] for laser in lasers]),
+                    sum(scan.ranges_m.size for scan in scans),
+                    np.array([scan.laser.body_T_laser[:2] for scan in scans]),
+                    (scan.laser.range_max_m - scan.ranges_m for scan in scans),
                 )
                 for k, keyframe in enumerate(self.keyframes):
                     keyframe.cloud = points.scan(k)

@@ -43,7 +43,8 @@ def bent(truth, sigmas, seed=1):
 
 
 def run(clouds, start, wheels=NO_WHEELS, edges=(), noise=NOISE, gate_m=0.3):
-    points = ScanPoints.of(clouds, sum(len(c.points_m) for c in clouds), np.zeros((len(start), 2)))
+    spare_m = [np.full(360, np.inf, np.float32)] * len(clouds)
+    points = ScanPoints.of(clouds, sum(len(c.points_m) for c in clouds), np.zeros((len(start), 2)), spare_m)
     return adjust(points, start, list(edges), wheels, noise, 10, gate_m)
 
 

@@ -30,8 +30,9 @@ def clouds_of(scans):
 
 def points_of(scans):
     return ScanPoints.of(
-        clouds_of(scans), sum(len(scan.ranges_m) for scan in scans), np.zeros((len(scans), 2))
-    )
+        clouds_of(scans), sum(len(scan.ranges_m) for scan in scans), np.zeros((len(scans), 2)),
+        [scan.laser.range_max_m - scan.ranges_m for scan in scans],
+    )  # fmt: skip
 
 
 def chain(truth, information):

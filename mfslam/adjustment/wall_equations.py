@@ -55,7 +55,7 @@ def _groups(
 ) -> _Groups:  # fmt: skip
     """Scan, patch and sums of the groups of some scans."""
     scan_of, patch_of, sums = wall_patches.group_sums(
-        points.points_m, points.origins_m[scans], points.normals, points.first[scans.start : scans.stop + 1],
+        points.points_m, points.origins_m[scans], points.spare_m, points.normals, points.first[scans.start : scans.stop + 1],
         poses[scans], patch, lines, noise.range_sigma_m, noise.patch_sigma_m, kernel_m,
     )  # fmt: skip
     scan_of += scans.start

@@ -116,7 +116,7 @@ def _call_adjustment() -> None:
     size, patch = len(seeds[1]), patch.astype(np.int32)
     lines = wall_patches.fit_patches(size, points, first, scan, patch, np.empty((0, 5)), 0.1)
     groups = wall_patches.group_sums(
-        points, np.zeros((1, 2)), normals, first, scan, patch, lines, 0.02, 0.005, 0.1
+        points, np.zeros((1, 2)), np.ones(count, np.float32), normals, first, scan, patch, lines, 0.02, 0.005, 0.1
     )
     scan_of, patch_of, sums = groups
     terms = np.zeros((size, 6))

@@ -8,10 +8,11 @@ from mfslam.kernels.align import geman_mcclure
 from mfslam.kernels.cells import CellTable, cell_key, find_slot
 from mfslam.kernels.compiling import kernel
 from mfslam.kernels.poses import transform_points
-from mfslam.types import FloatArray, Int32Array, IntArray
+from mfslam.types import Float32Array, FloatArray, Int32Array, IntArray
 
 ALIKE_COS = 0.85  # normals of one patch
 SUMS = 24  # of a group: see `group_sums`
+LIMIT_SIGMAS = 5.0  # a wall nearer than this to the limit of a range is not seen by all its beams
 
 
 @kernel
@@ -110,13 +111,15 @@ def fit_patches(
 
 @kernel
 def group_sums(
-    points: FloatArray, origins: FloatArray, normals: FloatArray, first: IntArray, poses: FloatArray,
+    points: FloatArray, origins: FloatArray, spare: Float32Array, normals: FloatArray, first: IntArray, poses: FloatArray,
     patch: Int32Array, lines: FloatArray, range_sigma: float, patch_sigma: float, kernel_m: float,
 ) -> tuple[Int32Array, Int32Array, FloatArray]:  # fmt: skip
     """Sums over each group: the points of one scan on one patch.
 
     The residual of a point is r = n . (T p - q), under a Geman-McClure kernel of scale ``kernel_m``. It varies by the part of ``range_sigma`` across the wall
-    and, all of a group alike, by ``patch_sigma``. ``origins`` (K, 2): the laser in the frame of its scan.
+    and, all of a group alike, by ``patch_sigma``. ``origins`` (K, 2): the laser in the frame of its scan. ``spare`` (P,): by how much
+    farther it would have seen. Points on a wall at the limit of its range are left out: those that noise has pushed beyond are
+    missing, and the mean of the others is too near.
     With J = dr/d(pose), a right perturbation, and u along the line, the line's own unknowns being its
     offset and its turn, the SUMS columns are: upper triangle of sum w J J^T (6), of w J (-1, -u) offset then
     turn (3 + 3), of the line's block (3), -sum w J r (3), sum w r, sum w u r; and with the kernel's weight k alone sum k,
@@ -153,13 +156,17 @@ def group_sums(
             dy = poses[k, 1] + s * px + c * py - lines[q, 1]
             nx, ny = lines[q, 2], lines[q, 3]
             r, u = nx * dx + ny * dy, -ny * dx + nx * dy
+            j0, j1 = c * nx + s * ny, -s * nx + c * ny
             bx, by = px - origins[k, 0], py - origins[k, 1]
-            slant = (bx * normals[i, 0] + by * normals[i, 1]) / math.sqrt(bx * bx + by * by)
+            distance = math.sqrt(bx * bx + by * by)
+            # by where the wall is, not by the range told: a cut by that only moves the limit
+            if spare[i] + r * distance / (j0 * bx + j1 * by) < LIMIT_SIGMAS * range_sigma:
+                continue
+            slant = (bx * normals[i, 0] + by * normals[i, 1]) / distance
             own = range_sigma * slant
             shared = size[q] * patch_sigma * patch_sigma
             kernel = geman_mcclure(r, kernel_m)
             w = kernel / (own * own + shared)
-            j0, j1 = c * nx + s * ny, -s * nx + c * ny
             j2 = j1 * px - j0 * py
             g = group[q]
             if g < begin or patch_of[g] != q:
