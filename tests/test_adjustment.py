@@ -223,3 +223,20 @@ def test_the_solver_solves_what_a_dense_one_does(count, others, seed):
     rhs = np.stack([equations.rhs.ravel(), rng.normal(size=3 * unknowns), np.zeros(3 * unknowns)], axis=1)
     exact = np.linalg.solve(matrix.whole().toarray(), rhs)
     np.testing.assert_allclose(solver.solve(rhs, 1e-9), exact, atol=1e-5 * max(1.0, np.abs(exact).max()))
+
+
+@pytest.mark.parametrize(("limit_m", "counted"), [(4.05, 0), (4.3, 50)])
+def test_a_wall_at_the_limit_of_a_range_says_nothing(limit_m, counted):
+    """Wherever noise has put its single beams: leaving out the long ones alone would bring it nearer."""
+    rng = np.random.default_rng(3)
+    across = np.linspace(-0.1, 0.1, 50)
+    ranges = np.hypot(4.0, across) + rng.uniform(-0.05, 0.05, 50)
+    bearings = np.arctan2(across, 4.0)
+    points = ranges[:, None] * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
+    normals = np.tile([-1.0, 0.0], (50, 1))
+    wall = np.array([[4.0, 0.0, 1.0, 0.0, 1e-4]])
+    _, _, sums = wall_patches.group_sums(
+        points, np.zeros((1, 2)), (limit_m - ranges).astype(np.float32), normals, np.array([0, 50]),
+        np.zeros((1, 3)), np.zeros(50, np.int32), wall, 0.02, 0.0, 1e3,
+    )  # fmt: skip
+    assert sums[:, 20].sum() == pytest.approx(counted, rel=1e-6)

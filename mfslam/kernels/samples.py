@@ -115,8 +115,9 @@ def _call_adjustment() -> None:
     partners.find_partners(*seeds, 0.25, placed, 0.25, 0.7, patch, seen)
     size, patch = len(seeds[1]), patch.astype(np.int32)
     lines = wall_patches.fit_patches(size, points, first, scan, patch, np.empty((0, 5)), 0.1)
+    origins, spare = np.zeros((1, 2)), np.ones(count, np.float32)
     groups = wall_patches.group_sums(
-        points, np.zeros((1, 2)), np.ones(count, np.float32), normals, first, scan, patch, lines, 0.02, 0.005, 0.1
+        points, origins, spare, normals, first, scan, patch, lines, 0.02, 0.005, 0.1
     )
     scan_of, patch_of, sums = groups
     terms = np.zeros((size, 6))
