@@ -304,9 +304,9 @@ class RefineConfig(_Stage):
         4, ge=1, description="Iterations of the first round at most; later ones need half."
     )
     search_radius_m: float = Field(
-        0.12,
+        0.25,
         gt=0,
-        description="How far a point may lie from its wall in the first round, m; later half of it.",
+        description="How far a point may lie from its wall in the first round at most, m; later half of it.",
     )
     localise: bool = Field(
         True, description="Match the scans between keyframes once more with all keyframes around them."

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from mfslam import se2
 from mfslam.adjustment import Noise, ScanPoints, WheelTerms, adjust
 from mfslam.adjustment.equations import Equations, Solver
+from mfslam.adjustment.noise import Residuals, far_off_m
 from mfslam.adjustment.walls import Walls
 from mfslam.config import Config, OdometryConfig
 from mfslam.deskew import deskew
@@ -240,3 +241,17 @@ def test_a_wall_at_the_limit_of_a_range_says_nothing(limit_m, counted):
         np.zeros((1, 3)), np.zeros(50, np.int32), wall, 0.02, 0.0, 1e3,
     )  # fmt: skip
     assert sums[:, 20].sum() == pytest.approx(counted, rel=1e-6)
+
+
+def groups(patch_of, mean_m, size):
+    sums = np.zeros((len(patch_of), 4), np.float32)
+    sums[:, 0], sums[:, 1] = size, np.asarray(mean_m) * size
+    return Residuals(np.asarray(patch_of, dtype=np.int32), sums, 2)
+
+
+def test_how_far_off_scans_are_is_told_by_patches_that_several_saw():
+    seen_by_many, seen_by_two = [0] * 100, [1] * 2
+    mean_m = np.concatenate([np.linspace(-0.05, 0.05, 100), [0.0, 3.0]])
+    assert far_off_m(groups(seen_by_many + seen_by_two, mean_m, 10.0)) == pytest.approx(0.0485, abs=5e-4)
+    assert far_off_m(groups(seen_by_two, [0.0, 3.0], 10.0)) == 0.0
+    assert far_off_m(groups(seen_by_many, mean_m[:100], 1.0)) == 0.0, "single points are their own noise"

@@ -15,7 +15,7 @@ import numpy as np
 
 from mfslam import se2
 from mfslam.adjustment.equations import Equations, Solver
-from mfslam.adjustment.noise import Noise, noise_found
+from mfslam.adjustment.noise import Noise, far_off_m, noise_found
 from mfslam.adjustment.points import ScanPoints
 from mfslam.adjustment.wall_equations import wall_equations
 from mfslam.adjustment.wheels import WheelTerms, between_jacobians
@@ -25,6 +25,7 @@ SETTLED_M, STALLED = 0.0015, 0.95  # change over SPAN keyframes (RMS), and again
 SPAN = 50
 PROBE_ITERATIONS = 2  # iterations in which the wheels' noise is looked at closely
 KERNEL_SIGMAS, NARROWING = 3.0, 0.5  # of the Geman-McClure kernel on points; its scale from turn to turn
+WIDE = 5.0  # at first, over how far off scans are that are far off
 STEP_ERROR = 0.01  # of a step, relative: finding lines and weights anew after it changes more
 LOOP_KERNEL_SIGMAS = 3.0  # of the Cauchy kernel on other edges
 
@@ -51,15 +52,17 @@ def adjust(
     """Adjust keyframes (K) from where they stand.
 
     ``points``: theirs, deskewed. ``edges``: whatever else ties keyframes. ``gate_m``: scale
-    of the kernel on points in the first iteration. ``wheels`` learns their errors and noise, in place.
+    of the kernel on points in the first iteration at most. ``wheels`` learns their errors and noise, in place.
     """
     poses = world_T_body.copy()
     count = len(poses)
     unknowns = count + len(wheels.errors)
     solver, change_before_m = Solver(poses, unknowns - count), math.inf
+    # wide at first, so that walls that are far from each other still pull; but no wider than they are: what stands beside
+    # a wall is not taken for the wall, and where rooms hold together weakly it takes long to undo that
+    gate_m = min(gate_m, WIDE * far_off_m(wall_equations(points, poses, gate_m, noise)[2]))
     least_kernel_m = KERNEL_SIGMAS * math.hypot(noise.range_sigma_m, noise.patch_sigma_m)
     for iteration in range(iterations):
-        # wide at first, so that walls that are far from each other still pull
         kernel_m = max(least_kernel_m, gate_m * NARROWING**iteration)
         solver.forget()  # two of these systems need not lie in memory
         walls, rhs, residuals = wall_equations(points, poses, kernel_m, noise)

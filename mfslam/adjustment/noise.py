@@ -10,8 +10,10 @@ import numpy as np
 from mfslam.types import Float32Array, Int32Array
 
 MIN_SCANS = 5  # that saw a patch, for it to tell of their noise
+MIN_POINTS = 3.0  # of a scan on a patch, for their mean to tell where it stands
 MEDIAN_CHI2 = 0.455  # of a squared normal error
 LEAST_SIGMA_M, LARGEST_SIGMA_M = 0.001, 0.05
+FAR_OFF = 97.0  # per cent of all groups lie nearer to their patch than those that are far off
 PRIOR_POINTS = 100.0  # that the configured noise of a range counts as
 
 
@@ -31,6 +33,18 @@ class Residuals:
     patch_of: Int32Array
     sums: Float32Array
     patch_count: int
+
+
+def far_off_m(residuals: Residuals) -> float:
+    """How far scans that are far off stand from the patches that they saw, by the means of their points; 0 where none
+    was seen by several."""
+    seen_by = np.bincount(residuals.patch_of, minlength=residuals.patch_count)
+    told = (seen_by[residuals.patch_of] >= MIN_SCANS) & (residuals.sums[:, 0] >= MIN_POINTS)
+    if not told.any():
+        return 0.0
+    patch_of, (size, total) = residuals.patch_of[told], residuals.sums[told, :2].T.astype(np.float64)
+    totals, sizes = (np.bincount(patch_of, each, residuals.patch_count) for each in (total, size))
+    return float(np.percentile(np.abs(total / size - totals[patch_of] / sizes[patch_of]), FAR_OFF))
 
 
 def noise_found(residuals: Residuals, scan_count: int, noise: Noise, kernel_m: float) -> Noise:
