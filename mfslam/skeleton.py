@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mfslam import se2
-from mfslam.kernels import reach
+from mfslam.kernels import poses, reach
 from mfslam.sparse_blocks import inverse_diagonal
 from mfslam.types import Edge, FloatArray, IntArray
 
@@ -232,8 +232,7 @@ class _Ties:
 
 def _carrying(world_T_a: FloatArray, world_T_b: FloatArray) -> FloatArray:
     """Adjoint (3, 3) that carries an error of pose a into the frame of pose b."""
-    # not by the kernel, which would be compiled anew for poses that are only to be read
-    return se2.adjoint(se2.between(world_T_b, world_T_a))
+    return se2.adjoint(poses.between(world_T_b, world_T_a))
 
 
 def _cost(covariance: FloatArray) -> float:
