@@ -358,6 +358,7 @@ class Slam:
             if self._motion.odometry.backwards_s == 0.0:
                 smoothed_by = motion.off
                 world_T_reference = se2.compose(world_T_reference, se2.exp(smoothed_by))
+                edges = self.graph.place(world_T_reference[keyframes], edges)
         offsets = self._reference_offsets_s()
         reference_T_stamp = motion.relative(-offsets)
         world_T_body = se2.compose(world_T_reference, reference_T_stamp)
