@@ -26,9 +26,8 @@ from mfslam.uncertainty import chi2_quantile
 
 GAP_M = 100.0  # driven, as it were, where nothing ties two keyframes: what is within so much is rigid
 
-MOST_MISSES = (
-    3  # times that a place may fit nothing that is seen from one spot: then it cannot be seen from there
-)
+# times that a place may fit nothing that is seen from one spot: then it cannot be seen from there
+MOST_MISSES = 3
 AGREE_WITHIN_M = 20.0  # of driving between two loops that tell the same story
 
 
@@ -72,11 +71,7 @@ class LoopCloser:
     def due(self) -> bool:
         return self.config.use and self.travel_m[-1] - self._last_search_m >= self.config.every_m
 
-    def search(
-        self,
-        world_T_body: FloatArray,
-        range_sigma_m: float,
-    ) -> list[Loop]:
+    def search(self, world_T_body: FloatArray, range_sigma_m: float) -> list[Loop]:
         """Loops of the newest keyframe that are to be believed. ``world_T_body`` (K, 3): the estimate."""
         self.statistics.searches += 1
         self._last_search_m = self.travel_m[-1]

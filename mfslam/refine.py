@@ -51,9 +51,7 @@ class Refinement:
         self._loops = [edge for edge in edges if edge.kind == "loop" and edge.weight >= 0.5]
 
     def forget(self) -> None:
-        """Give back the system of the last round, which is large: at once, since it refers to itself."""
-        if self._adjusted is not None:
-            self._adjusted.solver.forget()
+        """Give back the system of the last round, which is large."""
         self._adjusted = None
 
     def round(self, points: ScanPoints, world_T_body: FloatArray) -> FloatArray:

@@ -103,7 +103,7 @@ class PoseGraph:
 
     def standing_poses(self) -> FloatArray:
         """(K, 3) world_T_body of every keyframe, whatever waits to be solved. To be read, until the next solve."""
-        return self._poses[:]  # not flagged so: kernels would be compiled anew for such arrays, in mid-run
+        return self._poses  # not flagged so: kernels would be compiled anew for such arrays, in mid-run
 
     def seen_poses(self) -> FloatArray:
         """(K, 3) what `rough_poses` would say, for those who only look: the graph stays as it is, and so does all that
