@@ -29,6 +29,12 @@ class SensorConfig(_Stage):
         None, gt=0, description="Ranges at or beyond this are no return, m. Null: from the log."
     )
     range_sigma_m: float = Field(0.02, gt=0, description="One-sigma noise of one range, m.")
+    range_error_m: tuple[float, ...] = Field(
+        (),
+        description="By how much ranges are told too large, m, at range 0, range_error_step_m, twice that, ...; linear in "
+        "between. Empty: they are right.",
+    )
+    range_error_step_m: float = Field(0.25, gt=0, description="Ranges of range_error_m are so far apart, m.")
     turn_period_s: float | None = Field(
         None,
         ge=0,

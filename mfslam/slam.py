@@ -20,6 +20,7 @@ from mfslam.kernels import poses
 from mfslam.loops import LoopCloser
 from mfslam.memory import give_memory_back
 from mfslam.motion import MotionSources
+from mfslam.ranges import with_true_ranges
 from mfslam.recovery import reach
 from mfslam.refine import HARDLY_ANYTHING, INERTIA
 from mfslam.scan_motion import ADJUSTED_SIGMAS, LEAST_SIGMAS, MATCHED_SIGMAS, SmoothMotion, smooth
@@ -120,6 +121,7 @@ class Slam:
         """Take the next message of the log. A scan is placed once the next one has come: by then the
         wheels have told the motion through it."""
         if isinstance(message, Scan):
+            message = with_true_ranges(message, self.config.sensor)
             if self._waiting is not None:
                 self._motion.expect(message, self._waiting)
             self._place_waiting()

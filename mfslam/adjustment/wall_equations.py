@@ -24,7 +24,13 @@ def wall_equations(
     points: ScanPoints, poses: FloatArray, kernel_m: float, noise: Noise
 ) -> tuple[Walls, FloatArray, Residuals]:
     """What the walls say of poses (K, 3): information, right-hand side (K, 3), and what is left of the points."""
-    lines, patch = _patches(points, poses, kernel_m, noise)
+    return equations_of(points, poses, *find_patches(points, poses, kernel_m, noise), kernel_m, noise)
+
+
+def equations_of(
+    points: ScanPoints, poses: FloatArray, lines: FloatArray, patch: Int32Array, kernel_m: float, noise: Noise
+) -> tuple[Walls, FloatArray, Residuals]:
+    """The same, of patches that were found before."""
     chunks, kept = points.chunks(), list[_Groups]()
 
     def groups() -> Iterator[_Groups]:
@@ -62,7 +68,7 @@ def _groups(
     return scan_of, patch_of, sums
 
 
-def _patches(
+def find_patches(
     points: ScanPoints, poses: FloatArray, kernel_m: float, noise: Noise
 ) -> tuple[FloatArray, Int32Array]:
     """Lines (S, 5) of the patches as the scans stand, and the patch (P,) of every point, -1: none."""

@@ -12,6 +12,7 @@ from scipy.linalg import block_diag
 
 from mfslam.calibration.gyro import GyroFit
 from mfslam.calibration.laser_turn import LaserTurn
+from mfslam.calibration.range_errors import RangeErrors
 from mfslam.calibration.record import Record
 from mfslam.calibration.settings import Settings, settings_of
 from mfslam.calibration.solve import Solved
@@ -121,13 +122,15 @@ class Estimate:
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """``estimates`` in the order of ``covariance`` (P, P), which is in their units; ``start``: what was found of signs;
-    ``middle_s``: of the log, from its start, for which the delay holds where clocks drift."""
+    ``middle_s``: of the log, from its start, for which the delay holds where clocks drift; ``range_errors``: None where too
+    little is told of them."""
 
     estimates: list[Estimate]
     covariance: FloatArray
     start: Start
     config: Config
     middle_s: float = 0.0
+    range_errors: RangeErrors | None = None
 
     def __getitem__(self, name: str) -> Estimate:
         return next(e for e in self.estimates if e.name == name)
@@ -136,12 +139,21 @@ class Calibration:
     def significant(self) -> list[Estimate]:
         return [e for e in self.estimates if e.significant]
 
+    @property
+    def changes(self) -> bool:
+        """Whether anything is surely other than was assumed."""
+        ranges = self.range_errors
+        return bool(self.significant or self.oddities or (ranges is not None and ranges.significant))
+
     def since(self, first: Calibration) -> Calibration:
         """The same, seen from what the first pass assumed, and what that found of the wheels' signs."""
         estimates = [
             replace(e, before=was.before) for e, was in zip(self.estimates, first.estimates, strict=True)
         ]
-        return replace(self, estimates=estimates, start=first.start, config=first.config)
+        ranges = self.range_errors
+        if ranges is not None and first.range_errors is not None:
+            ranges = ranges.since(first.range_errors)
+        return replace(self, estimates=estimates, start=first.start, config=first.config, range_errors=ranges)
 
     def extended(self, more: tuple[list[Estimate], FloatArray]) -> Calibration:
         """With further estimates and their covariance, independent of these."""
@@ -164,7 +176,11 @@ class Calibration:
         """In words what is worth mapping again for; empty where nothing is."""
         wrong = [self.oddities] if self.oddities else []
         changed = [e for e in self.significant if e.name in GEOMETRY]
-        return ", ".join(wrong + [f"{e.name} {e.before:.4g} -> {e.value:.4g} {e.kind.unit}" for e in changed])
+        words = [f"{e.name} {e.before:.4g} -> {e.value:.4g} {e.kind.unit}" for e in changed]
+        ranges = self.range_errors
+        if ranges is not None and ranges.significant:
+            words.append(f"ranges too large by {ranges.words}")
+        return ", ".join(wrong + words)
 
     def settings(self) -> Settings:
         """Stage, key and value of all that is observable and that a setting exists for."""
@@ -175,10 +191,13 @@ class Calibration:
             yield f"WARNING        {self.oddities}"
         for e in self.estimates:
             yield e.line()
+        if self.range_errors is not None:
+            yield self.range_errors.line()
 
     def as_json(self) -> dict[str, Any]:
         odd = {"oddities": self.oddities} if self.oddities else {}
-        return odd | {e.name: e.as_json() for e in self.estimates}
+        ranges = {} if self.range_errors is None else {"range_errors": self.range_errors.as_json()}
+        return odd | {e.name: e.as_json() for e in self.estimates} | ranges
 
 
 def calibration_of(solved: Solved, record: Record, start: Start, config: Config) -> Calibration:

@@ -67,7 +67,7 @@ def calibrate_by_turns(
             break
         latest, first = found, first or found
         counted += not found.oddities
-        if cut_short() or counted == PASSES or not (found.significant or found.oddities):
+        if cut_short() or counted == PASSES or not found.changes:
             break
         # by what it is surely other than at first: a period that is nearly right by now is still followed, as delays need it
         config, blind = applied(assumed, found.since(first)), False

@@ -12,6 +12,7 @@ from mfslam.calibration.gyro import fit_gyro
 from mfslam.calibration.laser_turn import find_turn
 from mfslam.calibration.outcome import Calibration, Estimate, calibration_of, gyro_estimates, turn_estimates
 from mfslam.calibration.problem import Problem
+from mfslam.calibration.range_errors import find_range_errors, merged
 from mfslam.calibration.record import Record, cut_windows
 from mfslam.calibration.solve import Solved, solve
 from mfslam.calibration.start import find_start
@@ -95,7 +96,9 @@ def calibrate(slam: Slam, solution: Solution) -> Calibration | None:
     found = calibration_of(solved, record, start, config)
     gyro = fit_gyro(record, float(solved.values[-2]) if clock else 0.0)
     turn = None if slam.motion.comes_with_scans else find_turn(slam, solution)
-    return found.extended(gyro_estimates(gyro, config)).extended(turn_estimates(turn, config))
+    found = found.extended(gyro_estimates(gyro, config)).extended(turn_estimates(turn, config))
+    ranges = None if slam.motion.comes_with_scans else find_range_errors(slam, solution)
+    return replace(found, range_errors=ranges)
 
 
 def scatter_over_lengths(problem: Problem, delay_s: float, solved: Solved) -> FloatArray:
@@ -129,4 +132,5 @@ def together(calibrations: Sequence[Calibration]) -> Calibration:
         replace(e, value=float(values[n]), sigma=float(np.sqrt(covariance[n, n])), pulled=0.0)
         for n, e in enumerate(first.estimates)
     ]
-    return replace(first, estimates=estimates, covariance=covariance)
+    ranges = merged([calibration.range_errors for calibration in calibrations])
+    return replace(first, estimates=estimates, covariance=covariance, range_errors=ranges)

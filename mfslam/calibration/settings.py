@@ -9,7 +9,7 @@ from mfslam.config import Config
 if TYPE_CHECKING:
     from mfslam.calibration.outcome import Calibration
 
-Settings = dict[str, dict[str, float | bool]]
+Settings = dict[str, dict[str, float | bool | tuple[float, ...]]]
 KEYS = {
     "radius_left": ("wheels", "radius_left_m"),
     "radius_right": ("wheels", "radius_right_m"),
@@ -29,19 +29,26 @@ ONLY_WHERE_SIGNIFICANT = ("clock_drift", "turn_period")
 
 def settings_of(calibration: Calibration) -> Settings:
     """Stage, key and value of all that is observable and that a setting exists for."""
+    told = {
+        e.name: round(float(e.value), 9 if e.name == "clock_drift" else 6)
+        for e in calibration.estimates
+        if e.name in KEYS and (e.significant if e.name in ONLY_WHERE_SIGNIFICANT else e.observable)
+    }
     out: Settings = {}
-    for e in calibration.estimates:
-        told = e.significant if e.name in ONLY_WHERE_SIGNIFICANT else e.observable
-        if e.name in KEYS and told:
-            stage, key = KEYS[e.name]
-            out.setdefault(stage, {})[key] = round(float(e.value), 9 if e.name == "clock_drift" else 6)
-    sensor = out.get("sensor", {})
-    if "turn_period_s" in sensor:
-        sensor["reversed_beams"] = sensor["turn_period_s"] < 0.0
-        sensor["turn_period_s"] = abs(sensor["turn_period_s"])
-    if "transport_delay_s" in sensor:  # that at the start of the log
-        drift = sensor.get("clock_drift", calibration.config.sensor.clock_drift)
-        sensor["transport_delay_s"] = round(sensor["transport_delay_s"] + drift * calibration.middle_s, 6)
+    for name, value in told.items():
+        stage, key = KEYS[name]
+        out.setdefault(stage, {})[key] = value
+    sensor = out.setdefault("sensor", {})
+    ranges = calibration.range_errors
+    if ranges is not None and ranges.significant:
+        sensor["range_error_m"] = tuple(round(float(error_m), 4) for error_m in ranges.values_m)
+        sensor["range_error_step_m"] = ranges.step_m
+    if "turn_period" in told:
+        sensor["reversed_beams"] = told["turn_period"] < 0.0
+        sensor["turn_period_s"] = abs(told["turn_period"])
+    if "delay" in told:  # that at the start of the log
+        drift = told.get("clock_drift", calibration.config.sensor.clock_drift)
+        sensor["transport_delay_s"] = round(told["delay"] + drift * calibration.middle_s, 6)
     if calibration.start.words:
         out.setdefault("wheels", {}).update(_sides(calibration))
     return out
@@ -65,10 +72,10 @@ def yaml_of(calibration: Calibration, logs: str) -> str:
     out = [f"# By `mfslam calibrate {logs}`: one sigma and what was assumed before stand beside each value."]
     names = {key: name for name, (_, key) in KEYS.items()}
     settings = settings_of(calibration)
-    for stage, values in settings.items():
+    for stage, values in filter(lambda item: item[1], settings.items()):
         out.append(f"{stage}:")
         for key, value in values.items():
-            text = str(value).lower() if isinstance(value, bool) else f"{value:.6g}"
+            text = _as_text(value)
             beside = ""
             if key in names:
                 e = calibration[names[key]]
@@ -78,7 +85,15 @@ def yaml_of(calibration: Calibration, logs: str) -> str:
     for e in calibration.estimates:
         if e.name not in KEYS or KEYS[e.name][1] not in written:
             out.append(f"# {e.line()}")
+    if calibration.range_errors is not None and "range_error_m" not in written:
+        out.append(f"# {calibration.range_errors.line()}")
     return "\n".join(out) + "\n"
+
+
+def _as_text(value: float | bool | tuple[float, ...]) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_as_text, value))}]"
+    return str(value).lower() if isinstance(value, bool) else f"{value:.6g}"
 
 
 def applied(config: Config, calibration: Calibration) -> Config:

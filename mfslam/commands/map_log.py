@@ -104,6 +104,8 @@ def map_calibrated(
     outcome = outcome_of(slam, solution, config, info, findings, interrupts.count > 0, start_cpu_s)
     if calibration is not None:
         told["found"] = {e.name: e.as_json() for e in calibration.estimates}
+        if calibration.range_errors is not None:
+            told["range_errors"] = calibration.range_errors.as_json()
     if told:
         outcome.summary["calibration"] = told
     return outcome, config

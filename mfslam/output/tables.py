@@ -78,6 +78,14 @@ def calibration_cards(calibration: Mapping[str, Any]) -> str:
         used = {True: "used for this map", False: "refused: the map gets blunter with it"}
         title = used.get(calibration.get("used"), "nothing that differs enough to map again")  # type: ignore[arg-type]
         cards.append(_card(f"found by the log itself, {title}", rows))
+    if calibration.get("range_errors"):
+        ranges = calibration["range_errors"]
+        each = zip(ranges["assumed_m"], ranges["found_m"], ranges["sigma_m"], strict=True)
+        told = {
+            f"{n * ranges['step_m']:g} m": dict(zip(("assumed_m", "found_m", "sigma_m"), of_one, strict=True))
+            for n, of_one in enumerate(each)
+        }
+        cards.append(_card("ranges are told too large by", told))
     if calibration.get("sharpness"):
         cards.append(_card("how sharp the map is", calibration["sharpness"]))
     return "".join(cards)
