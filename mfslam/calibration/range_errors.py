@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from mfslam.adjustment import Noise, ScanPoints
-from mfslam.calibration.range_problem import RangeProblem, RangeState, scan_points
-from mfslam.config import SensorConfig
+from mfslam.calibration.range_problem import ALIKE_M, RangeProblem, RangeState, scan_points
 from mfslam.deskew import deskew
 from mfslam.ranges import range_errors_m
 from mfslam.slam import Slam, Solution
@@ -24,7 +23,7 @@ from mfslam.types import BoolArray, FloatArray, IntArray
 STEP_M, FARTHEST_M = 0.25, 8.0  # of the knots; farther off too little is square to a beam
 LEAST_KEYFRAMES, MOST_KEYFRAMES = 40, 400
 ROUNDS, ROUNDS_OF_HALVES, SETTLED_M = 6, 3, 0.001
-SURE_M = 0.005  # sigma of an error that counts
+SURE_M = 0.01  # sigma of an error that counts
 SIGNIFICANT_SIGMAS, MATTERS_M = 4.0, 0.01
 
 
@@ -85,10 +84,15 @@ def find_range_errors(slam: Slam, solution: Solution) -> RangeErrors | None:
     if whole is None:
         return None
     state = _solved(whole, whole.start(solution.world_T_reference[keyframes], noise), ROUNDS)
-    scatter = _scatter_of_halves(slam, solution, keyframes, state, whole.knots_m)
-    return _held(
-        state.errors_m, scatter * np.sqrt(np.diag(state.covariance)), whole.knots_m, slam.config.sensor
+    variances = np.diag(state.covariance) + _scatter_of_halves(
+        slam, solution, keyframes, state, whole.knots_m
     )
+    sigmas_m = np.sqrt(variances)
+    if not np.any(sigmas_m < SURE_M):
+        return None
+    sensor, knots_m = slam.config.sensor, whole.knots_m
+    before_m = range_errors_m(sensor, knots_m) if sensor.range_error_m else np.zeros(len(knots_m))
+    return RangeErrors(float(knots_m[1]), before_m, before_m + state.errors_m, sigmas_m)
 
 
 def _problem(
@@ -124,39 +128,23 @@ def _solved(problem: RangeProblem, state: RangeState, rounds: int) -> RangeState
 
 def _scatter_of_halves(
     slam: Slam, solution: Solution, keyframes: IntArray, state: RangeState, knots_m: FloatArray
-) -> float:
-    """How many times farther both halves of the log are from each other than their sigmas say, 1 at least: what beams have in
-    common, no sum over them shows."""
+) -> FloatArray:
+    """(N,) variances of the mean of both halves of the log, by how much farther they are from each other than theirs say: what
+    beams have in common, no sum over them shows. As around each knot."""
     middle = len(keyframes) // 2
     found = []
     for half in (slice(0, middle), slice(middle, None)):
         problem = _problem(slam, solution, keyframes[half], knots_m)
         if problem is None:
-            return math.inf
+            return np.full(len(knots_m), np.inf)
         start = RangeState(state.world_T_body[half], state.errors_m, state.covariance, state.noise)
         found.append(_solved(problem, start, ROUNDS_OF_HALVES))
     one, other = found
     variances = np.diag(one.covariance) + np.diag(other.covariance)
-    counts = variances < 2.0 * SURE_M**2
-    if np.count_nonzero(counts) < 4:
-        return math.inf
-    apart = (one.errors_m - other.errors_m)[counts]
-    apart -= np.polyval(
-        np.polyfit(knots_m[counts], apart, 1), knots_m[counts]
-    )  # each has a line of its own left out
-    return max(1.0, math.sqrt(float(np.mean(apart**2 / variances[counts]))))
-
-
-def _held(
-    errors_m: FloatArray, sigmas_m: FloatArray, knots_m: FloatArray, sensor: SensorConfig
-) -> RangeErrors | None:
-    """As found where it is sure; elsewhere as at the nearest knot that is."""
-    before_m = range_errors_m(sensor, knots_m) if sensor.range_error_m else np.zeros(len(knots_m))
-    sure = np.flatnonzero(sigmas_m < SURE_M)
-    if not len(sure):
-        return None
-    nearest = sure[np.argmin(np.abs(np.arange(len(knots_m))[:, None] - sure), axis=1)]
-    return RangeErrors(float(knots_m[1]), before_m, before_m + errors_m[nearest], sigmas_m)
+    apart = one.errors_m - other.errors_m  # of each another straight line is left out
+    apart -= np.polyval(np.polyfit(knots_m, apart, 1, w=variances**-0.5), knots_m)
+    near = np.exp(-0.5 * ((knots_m[:, None] - knots_m) / ALIKE_M) ** 2)
+    return np.asarray(near @ np.maximum(0.0, apart**2 - variances) / near.sum(axis=1)) / 4.0
 
 
 def merged(found: Sequence[RangeErrors | None]) -> RangeErrors | None:

@@ -95,13 +95,12 @@ class RangeProblem:
         solver = Solver(poses, 0)
         solver.take([walls, equations.matrix()])
         solved = solver.solve(np.column_stack([equations.rhs.reshape(-1), across]), SOLVED)
-        information = own - across.T @ solved[:, 1:] + self._prior
+        free, carried = self._free, solved[:, 1:]
+        told = _positive(free.T @ (own - across.T @ carried) @ free)
         gradient = pull - across.T @ solved[:, 0] - self._prior @ state.errors_m
-        free = self._free
-        information = free.T @ (0.5 * (information + information.T)) @ free
-        covariance = free @ np.linalg.inv(information) @ free.T
+        covariance = free @ np.linalg.inv(told + free.T @ self._prior @ free) @ free.T
         change_m = covariance @ gradient
-        moved = (solved[:, 0] - solved[:, 1:] @ change_m).reshape(-1, 3)
+        moved = (solved[:, 0] - carried @ change_m).reshape(-1, 3)
         return RangeState(
             se2.compose(poses, se2.exp(moved)),
             state.errors_m + change_m,
@@ -183,6 +182,12 @@ def _rows(values: FloatArray, columns: IntArray, width: int) -> Any:
     return csr_matrix(
         (values.ravel(), columns.ravel(), np.arange(0, count * each + 1, each)), shape=(count, width)
     )
+
+
+def _positive(matrix: FloatArray) -> FloatArray:
+    """An information matrix without what rounding has made of directions of which nothing is told."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def _seen_again(scan_of: IntArray, patch: Int32Array, patches: int) -> tuple[BoolArray, IntArray]:
