@@ -3,9 +3,13 @@ differs."""
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
+
+from mfslam.types import FloatArray
 
 
 class _Stage(BaseModel):
@@ -120,6 +124,17 @@ class OdometryConfig(_Stage):
     )
     max_speed_m_s: float = Field(10.0, gt=0, description="Faster wheel motion is a jump, not driving, m/s.")
     max_yaw_rate_rad_s: float = Field(10.0, gt=0, description="Faster wheel turning is a jump, rad/s.")
+
+    @cached_property
+    def step_noise(self) -> FloatArray:
+        """(3, 3) sigmas along, across and of the turn: of any step, per metre, per radian."""
+        return np.array(
+            [
+                [self.sigma_floor_m, self.sigma_translation_per_m, 0.0],
+                [self.sigma_floor_m, self.sigma_lateral_per_m, 0.0],
+                [self.sigma_floor_rad, self.sigma_rotation_per_m, self.sigma_rotation_per_rad],
+            ]
+        )
 
 
 class ImuConfig(_Stage):

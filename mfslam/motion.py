@@ -131,13 +131,13 @@ class MotionSources:
                 corrected, broken = track.odom_T_body[-1].copy(), True
             else:
                 step = poses.between(self._told_T_body, odom_T_body)
-                corrected = poses.compose(track.odom_T_body[-1], self.wheel_errors.corrected(step))
-        if from_scan and self._streamed and time_s < track.times_s[-1]:
+                corrected = self.wheel_errors.advanced(track.odom_T_body[-1], step)
+        if from_scan and self._streamed and time_s < track.last_s:
             return corrected
         self._streamed = not from_scan
         self._told_T_body = odom_T_body
         track.add(time_s, corrected, pause_s, broken)
-        self.told_times_s.append(track.times_s[-1])
+        self.told_times_s.append(track.last_s)
         self.told_steps.extend(UNKNOWN_STEP if broken else step.tolist())
         return corrected
 
@@ -214,7 +214,7 @@ class MotionSources:
             if not (jumped and is_jump(wheels, t1 - t0, self.config.odometry)):
                 step = WheelStep(self.wheel_errors.told(wheels), matched, information, jumped)
                 self._wheel_steps[i, j] = step
-                yield self._wheel_edge(i, j)
+                yield from self._wheel_edges([(i, j)])
                 learned = sure and not jumped
                 if learned:
                     self.wheel_errors.learn(step)
@@ -235,14 +235,18 @@ class MotionSources:
 
     def revised(self, edges: list[Edge]) -> list[Edge]:
         """The edges, those of wheels by all that was learned of their errors until now."""
-        known = self._wheel_steps
-        return [
-            self._wheel_edge(e.i, e.j) if e.kind == "odometry" and (e.i, e.j) in known else e for e in edges
-        ]
+        out = list(edges)
+        rows = [n for n, e in enumerate(edges) if e.kind == "odometry" and (e.i, e.j) in self._wheel_steps]
+        for n, edge in zip(rows, self._wheel_edges([(edges[n].i, edges[n].j) for n in rows]), strict=True):
+            out[n] = edge
+        return out
 
-    def _wheel_edge(self, i: int, j: int) -> Edge:
-        step, errors = self._wheel_steps[i, j], self.wheel_errors
-        return Edge("odometry", i, j, *errors.factor(step))
+    def _wheel_edges(self, ends: list[tuple[int, int]]) -> list[Edge]:
+        """Of the steps that the wheels told between these keyframes."""
+        if not ends:
+            return []
+        factors = self.wheel_errors.factors([self._wheel_steps[pair] for pair in ends])
+        return [Edge("odometry", *pair, *factor) for pair, *factor in zip(ends, *factors, strict=True)]
 
     def _sensed_s(self, scan: Scan) -> float:
         """When the scan was sensed, by its stamp; poses that came with scans are as late as they are."""
@@ -277,18 +281,18 @@ class MotionSources:
                 return self._with_scan
             twist = track.twist_over(self._scan_s, self._scan_s, self.config.odometry)
             return se2.compose(self._with_scan, se2.exp(twist * offset_s))
-        if not track.times_s[0] - LAG_S <= reference_s <= track.times_s[-1] + LAG_S:
+        if not track.first_s - LAG_S <= reference_s <= track.last_s + LAG_S:
             self.findings.add(
                 "odometry-gap",
                 "no odometry around a scan: it was placed without wheels",
                 f"{scan.stamp_ns * 1e-9:.6f} s",
             )
             return None
-        since_s = reference_s - track.times_s[-1]
+        since_s = reference_s - track.last_s
         if since_s <= 0.0:
             return track.pose_at(reference_s)
         # the wheels have not told this instant yet: they turn on as they did, and do not stand still
-        twist = track.twist_over(track.times_s[-1], track.times_s[-1], self.config.odometry)
+        twist = track.twist_over(track.last_s, track.last_s, self.config.odometry)
         return se2.compose(track.odom_T_body[-1], se2.exp(twist * since_s))
 
 

@@ -42,7 +42,7 @@ class Refinement:
         self._adjusted: Adjusted | None = None
         self._range_sigma_m = range_sigma_m
         self.noise = Noise(range_sigma_m, config.icp.sigma_floor_m)
-        self.wheels = WheelTerms(steps, errors.as_array(), errors.noise_share, config.odometry)
+        self.wheels = WheelTerms(steps, errors.errors, errors.noise_share, config.odometry)
         told = set(zip(self.wheels.i.tolist(), self.wheels.j.tolist(), strict=True))
         self._ties = [
             _tie(edge, (edge.i, edge.j) in told) for edge in edges if edge.kind in ("scan", "heading")

@@ -58,17 +58,16 @@ class Skeleton:
     def add_step(self, edges: Sequence[Edge], world_T_body: FloatArray, torn: bool = False) -> None:
         """The next keyframe, by match and wheels of the step to it. ``world_T_body`` (K, 3): all keyframes until then.
         ``torn``: nobody watched the robot on the way, and what the edges leave open is open."""
-        known = np.sum([e.information for e in edges if e.kind != "heading"], axis=0)
-        covariance = np.linalg.inv(known + (0.0 if torn else LEAST_KNOWN))
-        self._steps.extend([*edges[0].i_T_j, *covariance.ravel()])
+        known = sum((e.information for e in edges if e.kind != "heading"), NOTHING if torn else LEAST_KNOWN)
+        covariance = np.linalg.inv(known)
+        self._steps.extend([*edges[0].i_T_j.tolist(), *covariance.ravel().tolist()])
         self._take_step(world_T_body)
 
     def _take_step(self, world_T_body: FloatArray) -> None:
         j = len(self._knot)
         numbers = np.array(self._steps[12 * j - 12 : 12 * j])
         step, covariance = numbers[:3], numbers[3:].reshape(3, 3)
-        carry = se2.adjoint(se2.inverse(step))
-        self._covariance.extend((carry @ self._hanging(j - 1) @ carry.T + covariance).ravel())
+        self._covariance.extend((reach.carried(step, self._hanging(j - 1)) + covariance).ravel().tolist())
         self._knot.append(self._knot[-1])
         self._driven_m += float(np.hypot(step[0], step[1]))
         if self._driven_m >= SPACING_M:
@@ -96,8 +95,7 @@ class Skeleton:
         a, b = self._knot[i], self._knot[j]
         if a == b:
             return
-        carry = se2.adjoint(se2.inverse(edge.i_T_j))
-        over_loop = carry @ self._hanging(i) @ carry.T + np.linalg.inv(edge.information + LEAST_KNOWN)
+        over_loop = reach.carried(edge.i_T_j, self._hanging(i)) + np.linalg.inv(edge.information + LEAST_KNOWN)
         here = self._hanging(j)
         most = STRETCH * (_cost(over_loop) + _cost(here))
         if not np.isfinite(self._paths(b, world_T_body, most=most)[1][a]):
@@ -106,8 +104,8 @@ class Skeleton:
                 self._make_knot(j)
                 self._ties.add(a, self._knot[j], over_loop)
                 return
-            back = _carrying(world_T_body[j], world_T_body[self._knots[b]])
-            self._ties.add(a, b, back @ (over_loop + here) @ back.T)
+            back = poses.between(world_T_body[j], world_T_body[self._knots[b]])
+            self._ties.add(a, b, reach.carried(back, over_loop + here))
         if _cost(over_loop) < _cost(here):
             self._hang(j, a, over_loop)
 
@@ -132,7 +130,7 @@ class Skeleton:
 
     def _hang(self, j: int, knot: int, covariance: FloatArray) -> None:
         self._knot[j] = knot
-        self._covariance[9 * j : 9 * j + 9] = array("d", covariance.ravel())
+        self._covariance[9 * j : 9 * j + 9] = array("d", covariance.ravel().tolist())
 
     def _hanging(self, j: int) -> FloatArray:
         """(3, 3) covariance of keyframe j seen from its knot, in its tangent."""
@@ -150,19 +148,19 @@ class Skeleton:
         """One-sigma position (m) and heading (rad), (N,) each, of all knots seen from keyframe j, along the surest path to
         each, if that costs at most ``most``: bounds of the joint marginals from above."""
         knot = self._knot[j]
-        carry = _carrying(world_T_body[j], world_T_body[self._knots[knot]])
-        covariances, _ = self._paths(knot, world_T_body, carry @ self._hanging(j) @ carry.T, most)
+        at_knot = poses.between(world_T_body[j], world_T_body[self._knots[knot]])
+        covariances, _ = self._paths(knot, world_T_body, reach.carried(at_knot, self._hanging(j)), most)
         variances = np.diagonal(covariances, axis1=1, axis2=2)
         return np.sqrt(variances[:, 0] + variances[:, 1]), np.sqrt(variances[:, 2])
 
     def relative_covariance(self, i: int, j: int, world_T_body: FloatArray) -> FloatArray:
         """(3, 3) covariance of i_T_j, in its tangent, from the joint marginal by all ties that tell of it."""
         a, b = self._knot[i], self._knot[j]
-        by_i = _carrying(world_T_body[i], world_T_body[j])
-        out = by_i @ self._hanging(i) @ by_i.T + self._hanging(j)
+        i_T_j = poses.between(world_T_body[i], world_T_body[j])
+        out = reach.carried(i_T_j, self._hanging(i)) + self._hanging(j)
         if a != b:
-            by_b = _carrying(world_T_body[self._knots[b]], world_T_body[j])
-            out = out + by_b @ self._between(a, b, world_T_body) @ by_b.T
+            b_T_j = poses.between(world_T_body[self._knots[b]], world_T_body[j])
+            out = out + reach.carried(b_T_j, self._between(a, b, world_T_body))
         return np.asarray(out)
 
     def _between(self, a: int, b: int, world_T_body: FloatArray) -> FloatArray:
@@ -210,7 +208,7 @@ class _Ties:
             self._older.append(self._newest[knot])
             self._newest[knot] = len(self._ends)
             self._ends.append(knot)
-        self._covariances.extend(covariance.ravel())
+        self._covariances.extend(covariance.ravel().tolist())
 
     def as_arrays(self) -> tuple[IntArray, FloatArray]:
         """Ends (E, 2) and covariances (E, 3, 3)."""
@@ -228,11 +226,6 @@ class _Ties:
             start, covariance, poses, newest, older, ends.ravel(), covariances, most
         )
         return out
-
-
-def _carrying(world_T_a: FloatArray, world_T_b: FloatArray) -> FloatArray:
-    """Adjoint (3, 3) that carries an error of pose a into the frame of pose b."""
-    return se2.adjoint(poses.between(world_T_b, world_T_a))
 
 
 def _cost(covariance: FloatArray) -> float:

@@ -13,14 +13,14 @@ squares with the sigmas of `OdometryConfig` as prior: nothing is learned that wa
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from mfslam import se2
 from mfslam.config import OdometryConfig
-from mfslam.kernels import poses
-from mfslam.odometry import factor_variances, step_sigmas
+from mfslam.kernels import wheel_steps
+from mfslam.odometry import step_sigmas
 from mfslam.types import FloatArray
 
 # One measurement is made over so much driving, so that errors of the matches at its ends matter little.
@@ -29,28 +29,28 @@ MEMORY_M = 200.0  # what was learned fades over this distance: floors and loads 
 SURE_SIGMA_M = 0.1  # along the motion: a match less sure than this has held on to the wheels
 PRIOR_WINDOWS = 5.0  # measurements that the configured noise counts as
 CONTRADICTION_SIGMAS = 3.0  # a step farther off the scans than this has slipped
-ORIGIN = np.zeros(3)
+DISTRUSTED_SHARE = 1e-4  # of the information of a step of wheels that jumped
 
 
 def true_twists(told: FloatArray, errors: FloatArray) -> FloatArray:
-    """(..., 3) twists of true steps, of those told by wheels with systematic ``errors`` (..., 3), as in
-    `WheelErrors.as_array`."""
-    x, y, theta = told[..., 0], told[..., 1], told[..., 2]
-    scale, turn_scale, drift = errors[..., 0], errors[..., 1], errors[..., 2]
-    return np.stack([(1.0 + scale) * x, (1.0 + scale) * y, (1.0 + turn_scale) * theta + drift * x], axis=-1)
+    """(N, 3) twists of true steps, of those told by wheels with systematic ``errors`` (N, 3) or (3,), as in
+    `WheelErrors.errors`."""
+    return np.asarray(wheel_steps.true_twists(told, _of_each(errors, told)))
 
 
 def told_twists(true: FloatArray, errors: FloatArray) -> FloatArray:
-    """(..., 3) the inverse of `true_twists`."""
-    scale, turn_scale, drift = errors[..., 0], errors[..., 1], errors[..., 2]
-    x, y = true[..., 0] / (1.0 + scale), true[..., 1] / (1.0 + scale)
-    return np.stack([x, y, (true[..., 2] - drift * x) / (1.0 + turn_scale)], axis=-1)
+    """(N, 3) the inverse of `true_twists`."""
+    return np.asarray(wheel_steps.told_twists(true, _of_each(errors, true)))
 
 
 def as_told(true: FloatArray, errors: FloatArray) -> FloatArray:
     """(N, 3) what wheels with systematic ``errors`` (N, 3) tell of true steps (N, 3): the inverse of
     `WheelErrors.corrected`."""
-    return se2.exp(told_twists(se2.log(true), errors))
+    return np.asarray(wheel_steps.told_steps(true, _of_each(errors, true)))
+
+
+def _of_each(errors: FloatArray, steps: FloatArray) -> FloatArray:
+    return errors if errors.ndim == 2 else np.tile(errors, (len(steps), 1))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,11 +78,11 @@ class _Window:
 
 
 class WheelErrors:
-    """``scale`` (m per m), ``turn_scale`` (rad per rad) and ``drift_rad_per_m``, as learned so far, and
+    """``errors`` (3,): scale (m per m), turn scale (rad per rad) and drift (rad per m), as learned so far, and
     ``noise_share`` (3,): variance of what remains, over the configured one, along x, y, theta."""
 
     def __init__(self, config: OdometryConfig) -> None:
-        self.scale = self.turn_scale = self.drift_rad_per_m = 0.0
+        self.errors = np.zeros(3)  # scale, turn_scale, drift_rad_per_m
         self.noise_share = np.ones(3)
         self._config = config
         self._turn_prior = np.diag([config.sigma_rotation_per_m**-2, config.sigma_rotation_per_rad**-2])
@@ -97,41 +97,42 @@ class WheelErrors:
         """(3,) how many times noisier than configured the wheels turned out to be; 1 where they are no worse."""
         return np.asarray(np.sqrt(np.maximum(1.0, self.noise_share)))
 
-    def as_array(self) -> FloatArray:
-        """(3,) scale, turn_scale, drift_rad_per_m."""
-        return np.array([self.scale, self.turn_scale, self.drift_rad_per_m])
-
     def found(self, errors: FloatArray, noise_share: FloatArray) -> None:
-        """What the adjustment of the whole log made of them: ``errors`` (3,) as in `as_array`."""
-        self.scale, self.turn_scale, self.drift_rad_per_m = (float(v) for v in errors)
-        self.noise_share = noise_share
+        """What the adjustment of the whole log made of them."""
+        self.errors, self.noise_share = errors.copy(), noise_share
 
     def as_json(self) -> dict[str, object]:
         """What was learned, in the units of a report."""
+        scale, turn_scale, drift_rad_per_m = self.errors.tolist()
         return {
-            "scale_error_percent": 100.0 * self.scale,
-            "drift_deg_per_m": math.degrees(self.drift_rad_per_m),
-            "turn_error_percent": 100.0 * self.turn_scale,
+            "scale_error_percent": 100.0 * scale,
+            "drift_deg_per_m": math.degrees(drift_rad_per_m),
+            "turn_error_percent": 100.0 * turn_scale,
             "noise_share": self.noise_share.tolist(),
         }
 
     def corrected(self, step: FloatArray) -> FloatArray:
         """A step (3,) as told by the wheels, without the errors learned so far."""
-        return np.asarray(poses.advance(ORIGIN, true_twists(poses.log(step), self.as_array()), 1.0))
+        return np.asarray(wheel_steps.true_step(step, self.errors))
+
+    def advanced(self, odom_T_body: FloatArray, step: FloatArray) -> FloatArray:
+        """Where a step (3,) that the wheels told leads, from ``odom_T_body`` (3,), without the errors learned so far."""
+        return np.asarray(wheel_steps.advance_by_told(odom_T_body, step, self.errors))
 
     def told(self, corrected: FloatArray) -> FloatArray:
         """The inverse of `corrected`: what the wheels told."""
-        return as_told(corrected, self.as_array())
+        return as_told(corrected[None], self.errors)[0]
 
-    def factor(self, step: WheelStep) -> tuple[FloatArray, FloatArray]:
-        """The corrected step (3,) as a factor and its information (3, 3): by the noise that was learned, less where
-        this step contradicts the scans."""
-        corrected = self.corrected(step.told)
-        variances = self.noise_share * factor_variances(corrected, step.jumped, self._config)
-        off = (step.matched - corrected) ** 2
-        sure = variances + _variances(step.information)
-        information = np.zeros((3, 3))
-        information.flat[::4] = 1.0 / (variances + np.where(off > CONTRADICTION_SIGMAS**2 * sure, off, 0.0))
+    def factors(self, steps: Sequence[WheelStep]) -> tuple[FloatArray, FloatArray]:
+        """The corrected steps (N, 3) as factors and their information (N, 3, 3): by the noise that was learned, next to none
+        of wheels that jumped, and less where a step contradicts the scans."""
+        told, matched = np.array([s.told for s in steps]), np.array([s.matched for s in steps])
+        known = np.array([s.information for s in steps])
+        jumped = np.array([s.jumped for s in steps])
+        shares = self.noise_share / self._config.white_share * np.where(jumped, 1.0 / DISTRUSTED_SHARE, 1.0)[:, None]
+        corrected, information = wheel_steps.weigh_steps(
+            told, matched, _variances(known), shares, self.errors, self._config.step_noise, CONTRADICTION_SIGMAS
+        )
         return corrected, information
 
     def skip(self) -> None:
@@ -164,7 +165,7 @@ class WheelErrors:
         self._turn_information = fade * self._turn_information + np.outer(row, row) / noise
         self._turn_vector = fade * self._turn_vector + row * (window.matched[2] - window.told[2]) / noise
         drift, turn_scale = np.linalg.solve(self._turn_information + self._turn_prior, self._turn_vector)
-        self.drift_rad_per_m, self.turn_scale = float(drift), float(turn_scale)
+        self.errors[1], self.errors[2] = turn_scale, drift
 
     def _learn_scale(self, window: _Window, fade: float) -> None:
         self._scale_information *= fade
@@ -173,7 +174,7 @@ class WheelErrors:
             x, noise = float(window.told[0]), float(window.match_variances[0]) + self._config.sigma_floor_m**2
             self._scale_information += x * x / noise
             self._scale_vector += x * (float(window.matched[0]) - x) / noise
-        self.scale = self._scale_vector / (self._scale_information + self._scale_prior)
+        self.errors[0] = self._scale_vector / (self._scale_information + self._scale_prior)
 
     def _learn_noise(self, window: _Window, fade: float) -> None:
         # only matches surer than the wheels tell how good the wheels are
@@ -185,5 +186,5 @@ class WheelErrors:
 
 
 def _variances(information: FloatArray) -> FloatArray:
-    """Variances (3,) of each direction, the others being known."""
-    return np.asarray(1.0 / np.maximum(information.diagonal(), 1e-9))
+    """Variances (..., 3) of each direction, the others being known, by ``information`` (..., 3, 3)."""
+    return np.asarray(1.0 / np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-9))

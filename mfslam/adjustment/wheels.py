@@ -29,7 +29,7 @@ class WheelTerms:
 
     The unknowns of every ``MEMORY_M`` of driving are scale, turn_scale and drift_rad_per_m as in
     `WheelErrors`; ``errors`` (W, 3) holds them. ``share`` (3,): variance of what remains of x, y, theta, over
-    the configured one (`factor_variances`).
+    the configured one (`step_sigmas`, by their white share).
     """
 
     def __init__(

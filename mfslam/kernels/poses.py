@@ -99,16 +99,20 @@ def transform_points(a_T_b: FloatArray, points: FloatArray, normals: FloatArray,
         out[k, 3] = s * normals[k, 0] + c * normals[k, 1]
 
 
+@helper
+def twist_to(x: float, y: float, theta: float) -> tuple[float, float, float]:
+    """SE(2) logarithm: the twist that leads to a pose in unit time."""
+    w = wrap_angle(theta)
+    half = 0.5 * w
+    half_cot = 1.0 - w * w / 12.0 if abs(w) < 1e-6 else half / math.tan(half)
+    return half_cot * x + half * y, -half * x + half_cot * y, w
+
+
 @kernel
 def log(pose: FloatArray) -> FloatArray:
     """Twist that reaches a pose in unit time."""
-    w = wrap_angle(pose[2])
-    half = 0.5 * w
-    half_cot = 1.0 - w * w / 12.0 if abs(w) < 1e-6 else half / math.tan(half)
     out = np.empty(3)
-    out[0] = half_cot * pose[0] + half * pose[1]
-    out[1] = -half * pose[0] + half_cot * pose[1]
-    out[2] = w
+    out[0], out[1], out[2] = twist_to(pose[0], pose[1], pose[2])
     return out
 
 

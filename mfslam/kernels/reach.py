@@ -29,6 +29,16 @@ def _carry(
 
 
 @kernel
+def carried(a_T_b: FloatArray, covariance: FloatArray) -> FloatArray:
+    """A covariance (3, 3) in the tangent of pose a, in that of pose b."""
+    poses, out = np.zeros((2, 3)), np.empty((2, 3, 3))
+    for d in range(3):
+        poses[1, d] = a_T_b[d]
+    _carry(out, 1, covariance, poses, 0, np.empty((3, 3)))
+    return out[1].copy()
+
+
+@kernel
 def path_covariances(
     start: int,
     covariance: FloatArray,

@@ -25,9 +25,11 @@ from mfslam.kernels import (
     scans,
     smoothing,
     surfels,
+    tracks,
     wall_patches,
     wall_terms,
     walls,
+    wheel_steps,
 )
 from mfslam.types import FloatArray
 
@@ -64,6 +66,13 @@ def _call_poses() -> None:
     information = matrices.drop_open_direction(matrices.add_error(np.eye(3), 0.1, 0.1), 0.01)
     matrices.open_direction(information, 0.01)
     matrices.upper_root(information, 1e-6, 1e-9)
+    steps = np.zeros((2, 3))
+    wheel_steps.told_steps(wheel_steps.told_twists(wheel_steps.true_twists(steps, steps), steps), steps)
+    wheel_steps.step_sigmas(wheel_steps.advance_by_told(pose, pose, pose), np.ones((3, 3)))
+    wheel_steps.true_step(pose, pose)
+    wheel_steps.weigh_steps(steps, steps, steps, np.ones((2, 3)), pose, np.ones((3, 3)), 3.0)
+    tracks.mean_twist(np.arange(2.0), steps, 2, 0.0, 1.0)
+    tracks.pose_at(np.arange(2.0), steps, 2, 0.5)
 
 
 def _call_registration() -> None:
@@ -97,6 +106,7 @@ def _call_loop_closure() -> None:
     correlate.branch_and_bound(levels, corner, 0.1, points, pose, np.zeros(1), 0.3, 0.1, np.zeros((0, 4)))
     grid = evidence.evidence_grid(np.zeros((1, 2)), np.array([0, len(points)]), points, corner, 60, 60, 0.1)
     evidence.agreement(grid, corner, 0.1, pose, points)
+    reach.carried(pose, np.eye(3))
     ends = np.array([0, 1])
     reach.path_covariances(
         0, np.eye(3), np.zeros((2, 3)), ends, np.array([-1, -1]), ends, np.ones((1, 3, 3)), 1.0

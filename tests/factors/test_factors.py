@@ -10,7 +10,7 @@ import pytest
 import factors
 from mfslam import se2
 from mfslam.config import OdometryConfig
-from mfslam.odometry import factor_variances
+from mfslam.wheel_errors import WheelErrors, WheelStep
 
 
 def values_of(*poses):
@@ -64,8 +64,8 @@ def test_distrusted_wheels_keep_almost_no_weight():
     scan = factors.scan_match_factor(0, 1, np.array([1.0, 0.0, 0.0]), np.diag([400.0, 400.0, 400.0]))
     wheels = np.array([2.0, 0.5, 0.0])
     for distrusted, most_m in ((False, 2.0), (True, 1e-3)):
-        variances = factor_variances(wheels, distrusted, OdometryConfig(white_share=1.0))
-        information = np.diag(1.0 / variances)
+        errors = WheelErrors(OdometryConfig(white_share=1.0))
+        _, (information,) = errors.factors([WheelStep(wheels, wheels, np.eye(3), jumped=distrusted)])
         _, pose = solve(
             [AT_ORIGIN, scan, factors.wheel_odometry_factor(0, 1, wheels, information)],
             np.zeros(3),
