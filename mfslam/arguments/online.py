@@ -25,7 +25,7 @@ def add_record(commands: Commands) -> None:
     command.add_argument("-o", "--output", metavar="OUT.mcap", type=Path, required=True, help="a new file")
     add_settings(command)
     add_quiet(command)
-    command.set_defaults(module="record")
+    command.set_defaults(module="record", lasting=True)
 
 
 def add_live(commands: Commands) -> None:
@@ -38,7 +38,7 @@ def add_live(commands: Commands) -> None:
     add_page(command)
     add_settings(command)
     add_reporting(command)
-    command.set_defaults(module="live")
+    command.set_defaults(module="live", lasting=True)
 
 
 def add_replay(commands: Commands) -> None:
@@ -53,7 +53,7 @@ def add_replay(commands: Commands) -> None:
     add_topics(command)
     add_settings(command)
     add_quiet(command)
-    command.set_defaults(module="replay")
+    command.set_defaults(module="replay", lasting=True)
 
 
 def add_view(commands: Commands) -> None:
@@ -62,4 +62,4 @@ def add_view(commands: Commands) -> None:
     command.add_argument("--port", dest="view", metavar="PORT", type=int, help="of the page (8765)")
     add_page_bind(command)
     add_quiet(command, "say nothing but the address")
-    command.set_defaults(module="view")
+    command.set_defaults(module="view", lasting=True)
