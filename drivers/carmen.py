@@ -84,7 +84,8 @@ class CarmenLog(TextLog):
         """Raises ValueError where the line is not what it should be."""
         parts = split_scan(fields, self._layout)
         stamp = stamp_ns(parts.tail[self._layout.stamp_at])
-        ranges = np.array(list(map(self._numbers.__getitem__, parts.readings)), dtype=np.float32)
+        readings = map(self._numbers.__getitem__, parts.readings)
+        ranges = np.fromiter(readings, np.float32, len(parts.readings))
         laser = self._laser(fields, len(ranges), line_number)
         odd = np.count_nonzero(~(ranges >= 0.0))
         if odd:

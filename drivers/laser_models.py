@@ -13,6 +13,7 @@ from mfslam.types import Float32Array, FloatArray, Laser
 
 _TURN_RAD = 2.0 * math.pi
 _SICK_STEP_RAD = math.radians(1.0)
+_TINY_M = float(np.finfo(np.float32).smallest_normal)  # the least range that is one
 _RANGE_MAX_M = 100.0  # no 2D laser for wheeled robots sees farther
 
 
@@ -120,6 +121,6 @@ def clean_ranges(ranges_m: Float32Array, laser: Laser) -> Float32Array:
     NaN for what says nothing (zero, negative, not a number, nearer than the minimum)."""
     with np.errstate(invalid="ignore"):
         ranges_m[ranges_m >= laser.range_max_m] = np.inf
-        useless = ~(ranges_m >= laser.range_min_m) | (ranges_m <= 0.0)
+        useless = ~(ranges_m >= max(laser.range_min_m, _TINY_M))
     ranges_m[useless] = np.nan
     return ranges_m

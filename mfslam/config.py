@@ -3,6 +3,7 @@ differs."""
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import Literal
 
@@ -198,6 +199,10 @@ class IcpConfig(_Stage):
     )
     sigma_floor_m: float = Field(0.004, ge=0, description="Systematic error of any match, m (one sigma).")
     sigma_floor_deg: float = Field(0.10, ge=0, description="Systematic error of any match, deg (one sigma).")
+
+    @cached_property
+    def sigma_floor_rad(self) -> float:
+        return math.radians(self.sigma_floor_deg)
 
 
 class FrontendConfig(_Stage):

@@ -16,7 +16,7 @@ from mfslam.kernels import cells, poses
 from mfslam.odometry import step_sigmas
 from mfslam.recovery import MAX_ACCELERATION, free_motion_sigmas
 from mfslam.search import SearchMap
-from mfslam.types import DeskewedScan, FloatArray, IntArray, Match, Scan
+from mfslam.types import DeskewedScan, FloatArray, Match, Scan
 
 SURPRISE_GATE = 3.0  # sigmas
 SMOOTHING_M, SURFACE_SPACING_M = 0.1, 0.04  # of surfaces made of several scans
@@ -83,6 +83,7 @@ class Frontend:
 
     config: Config
     recent: deque[Keyframe] = field(default_factory=deque)
+    _recent_points: deque[FloatArray] = field(default_factory=deque)  # theirs (M, 4) in the local frame
     local_T_body: FloatArray = field(default_factory=lambda: np.zeros(3))
     reference: cells.CellTable | None = None
     place: SearchMap | None = None
@@ -183,14 +184,11 @@ class Frontend:
 
     def _surprise(self, predicted: FloatArray, step: FloatArray, motion: PredictedMotion) -> float:
         """How far a step lies from its prediction, in sigmas of the worst direction."""
-        error = poses.between(predicted, step)
-        sigmas = MATCH_SIGMAS + (
-            free_motion_sigmas(motion.dt_s)
-            if motion.step is None
-            else 2.0 * motion.noise_scale * step_sigmas(predicted, self.config.odometry)
-        )
-        x, y, theta = (error / sigmas).tolist()
-        return float(max(abs(x), abs(y), abs(theta)))
+        if motion.step is None:
+            sigmas = MATCH_SIGMAS + free_motion_sigmas(motion.dt_s)
+        else:
+            sigmas = MATCH_SIGMAS + 2.0 * motion.noise_scale * step_sigmas(predicted, self.config.odometry)
+        return float(poses.off_in_sigmas(predicted, step, sigmas))
 
     def _match(
         self, scan: Scan, cloud: DeskewedScan, guess: FloatArray, motion: PredictedMotion, free: bool = False
@@ -207,7 +205,7 @@ class Frontend:
             prior, sigmas = guess, free_motion_sigmas(motion.dt_s)
         return icp.register(
             self.reference, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m,
-            self.config.icp, prior, _diagonal(sigmas**-2),
+            self.config.icp, prior, sigmas,
         )  # fmt: skip
 
     def _search(
@@ -258,6 +256,7 @@ class Frontend:
         if match is None:
             self.local_T_body = guess
             self.recent.clear()
+            self._recent_points.clear()
         else:
             self.local_T_body = match.ref_T_src
         self.last_step, self.last_dt_s, self.blind_s = np.zeros(3), 0.0, 0.0
@@ -286,33 +285,24 @@ class Frontend:
 
     def _add_keyframe(self, index: int, cloud: DeskewedScan) -> None:
         self.recent.append(Keyframe(index, cloud, self.local_T_body))
+        self._recent_points.append(placed(cloud, self.local_T_body))
         if len(self.recent) > self.config.frontend.local_keyframes:
             self.recent.popleft()
+            self._recent_points.popleft()
         self.wheels_since_keyframe = np.zeros(3)
         self.wheels_trusted = True
-        self.reference = merged_surface([k.cloud for k in self.recent], [k.local_T_body for k in self.recent])
+        self.reference = merged_surface(self._recent_points)
         self.place = None
 
 
-def _diagonal(values: FloatArray) -> FloatArray:
-    """np.diag of three, quicker: it is made for every scan."""
-    out = np.zeros((3, 3))
-    out.flat[::4] = values
-    return out
-
-
-def merged_surface(clouds: Sequence[DeskewedScan], frame_T_body: Sequence[FloatArray]) -> cells.CellTable:
-    """Search structure over the averaged surface of several scans, in their common frame."""
-    raw = icp.reference_table(stacked(clouds, frame_T_body)[0])
+def merged_surface(oriented: Sequence[FloatArray]) -> cells.CellTable:
+    """Search structure over the averaged surface of several scans, `placed` in one frame."""
+    raw = icp.reference_table(np.concatenate(oriented))
     return icp.reference_table(cells.smooth_surface(raw, icp.CELL_M, SMOOTHING_M, SURFACE_SPACING_M))
 
 
-def stacked(
-    clouds: Sequence[DeskewedScan], frame_T_body: Sequence[FloatArray]
-) -> tuple[FloatArray, IntArray]:
-    """Oriented points (M, 4) of several scans in one frame, and the first row of each scan (N + 1,)."""
-    first = np.cumsum([0, *(cloud.points_m.shape[0] for cloud in clouds)], dtype=np.int64)
-    oriented = np.empty((int(first[-1]), 4))
-    for n, (cloud, pose) in enumerate(zip(clouds, frame_T_body, strict=True)):
-        poses.transform_points(pose, cloud.points_m, cloud.normals, oriented[first[n] : first[n + 1]])
-    return oriented, first
+def placed(cloud: DeskewedScan, frame_T_body: FloatArray) -> FloatArray:
+    """Oriented points (M, 4) of a scan in another frame: x, y, nx, ny."""
+    oriented = np.empty((len(cloud.points_m), 4))
+    poses.transform_points(frame_T_body, cloud.points_m, cloud.normals, oriented)
+    return oriented

@@ -14,6 +14,7 @@ from mfslam.types import DeskewedScan, FloatArray, Match
 
 CELL_M = 0.25
 NO_PRIOR = np.zeros((3, 3))
+FREE = np.full(3, np.inf)  # sigmas of a pose of which nothing is known
 
 
 def reference_table(oriented: FloatArray) -> CellTable:
@@ -30,33 +31,33 @@ def register(
     range_sigma_m: float,
     config: IcpConfig,
     prior: FloatArray | None = None,
-    prior_information: FloatArray | None = None,
+    prior_sigmas: FloatArray = FREE,
     search_radius_m: float | None = None,
 ) -> Match:
     """Where the source stands in the reference.
 
-    ``points_m``, ``normals`` (M, 2): the source. ``guess`` (3,): ref_T_src to start from. A ``prior``
-    with its information keeps directions in place that the scans do not constrain; it moves the
+    ``points_m``, ``normals`` (M, 2): the source. ``guess`` (3,): ref_T_src to start from. A ``prior`` (3,; else the guess)
+    with ``prior_sigmas`` (3,) in its tangent keeps directions in place that the scans do not constrain; it moves the
     estimate but is not part of the information returned. The information is that of the point-to-line
     residuals at the solution whatever the method: points that slide along a wall say nothing of it.
     """
     sigma = math.sqrt(2.0) * range_sigma_m  # both ends of a residual are measured
     held = guess if prior is None else prior
-    held_information = NO_PRIOR if prior is None or prior_information is None else prior_information
     radius_m = config.search_radius_m if search_radius_m is None else search_radius_m
-    if config.method == "point_to_point":
-        outcome = _closed_form(reference, points_m, normals, guess, sigma, radius_m, config)
-    else:
-        outcome = align.point_to_line(
-            reference, CELL_M, points_m, normals, guess, held, held_information, sigma,
-            config.kernel_sigmas, radius_m, config.final_radius_m, config.max_iterations, config.open_share,
+    honest = config.independent_share, config.sigma_floor_m, config.sigma_floor_rad
+    if config.method == "point_to_line":
+        return Match(
+            *align.point_to_line_match(
+                reference, CELL_M, points_m, normals, guess, held, prior_sigmas, sigma, config.kernel_sigmas, radius_m,
+                config.final_radius_m, config.max_iterations, config.open_share, *honest,
+            )
         )  # fmt: skip
-    pose, hessian, inlier_ratio, rms_m, iterations, converged = outcome
-    # residuals above the model's sigma (quantisation, rough walls) take information away
-    scale = config.independent_share * min(1.0, (sigma / max(rms_m, 1e-9)) ** 2)
-    information = with_floor(scale * hessian, config.sigma_floor_m, math.radians(config.sigma_floor_deg))
-    if config.method == "point_to_point" and held_information.any():
-        pose = _merged(pose, information, held, held_information)
+    pose, hessian, inlier_ratio, rms_m, iterations, converged = _closed_form(
+        reference, points_m, normals, guess, sigma, radius_m, config
+    )
+    information = align.honest_information(hessian, sigma, rms_m, *honest)
+    if np.isfinite(prior_sigmas).all():
+        pose = _merged(pose, information, held, np.diag(prior_sigmas**-2.0))
     return Match(pose, information, inlier_ratio, rms_m, iterations, converged)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mfslam import icp
-from mfslam.frontend import SMOOTHING_M, Keyframe, stacked
+from mfslam.frontend import SMOOTHING_M, Keyframe, placed
 from mfslam.kernels import cells, evidence, poses
 from mfslam.kernels.cells import CellTable
 from mfslam.search import SearchMap
@@ -38,7 +38,8 @@ class Place:
     def of(cls, keyframes: list[Keyframe], members: range, anchor: int) -> Place:
         origin = keyframes[anchor].local_T_body
         anchor_T_body = [poses.between(origin, keyframes[k].local_T_body) for k in members]
-        oriented, first = stacked([keyframes[k].cloud for k in members], anchor_T_body)
+        of_each = [placed(keyframes[k].cloud, pose) for k, pose in zip(members, anchor_T_body, strict=True)]
+        oriented, first = np.concatenate(of_each), np.cumsum([0, *map(len, of_each)])
         eyes = np.array([pose[:2] for pose in anchor_T_body]).reshape(-1, 2)
         corner = np.full(2, -REACH_M)
         size = int(2 * REACH_M / CELL_M)

@@ -12,7 +12,7 @@ from mfslam.kernels import poses
 from mfslam.search import MAX_HYPOTHESES, SearchMap, hypotheses, search
 from mfslam.types import FloatArray
 
-MAX_ACCELERATION = np.array([2.0, 0.5, 4.0])  # of a robot whose wheels are not known (m/s^2, rad/s^2)
+MAX_ACCELERATION = np.array([2.0, 0.5, 4.0])  # of a robot whose wheels are not known: ahead, sideways, turning (m/s^2, rad/s^2)
 REACH_SIGMAS = 3.0
 LEAST_S = 0.3  # scans come in bursts and stamps lie: no time between two is held to be shorter
 LEAST_PERIOD_S = 0.05  # nor a laser to be faster
@@ -30,8 +30,8 @@ def free_motion_sigmas(dt_s: float) -> FloatArray:
 
 def reach(dt_s: float) -> tuple[float, float]:
     """How far (m, rad) a robot can be from where its inertia would have carried it."""
-    x, y, theta = (REACH_SIGMAS * free_motion_sigmas(max(dt_s, LEAST_S))).tolist()
-    return max(x, y), min(theta, math.pi)
+    half_m, _, half_rad = (REACH_SIGMAS * free_motion_sigmas(max(dt_s, LEAST_S))).tolist()
+    return half_m, min(half_rad, math.pi)
 
 
 def coasted(last_step: FloatArray, last_dt_s: float, dt_s: float) -> FloatArray:
@@ -46,7 +46,7 @@ def coasted(last_step: FloatArray, last_dt_s: float, dt_s: float) -> FloatArray:
 def is_likely(step: FloatArray, last_step: FloatArray, coasting: FloatArray, dt_s: float) -> bool:
     """Whether inertia allows a step (3,), be it counted by scans or by stamps, of which some lie."""
     half_m, half_rad = reach(dt_s)
-    for expected in (last_step, coasting):
+    for expected in (last_step,) if coasting is last_step else (last_step, coasting):
         x, y, theta = poses.between(expected, step).tolist()
         if math.hypot(x, y) <= half_m and abs(theta) <= half_rad:
             return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from mfslam import icp, se2
 from mfslam.adjustment import Adjusted, AdjustedInformation, Noise, ScanPoints, WheelTerms, adjust
 from mfslam.config import Config, IcpConfig
 from mfslam.deskew import deskew
-from mfslam.frontend import Keyframe, merged_surface
+from mfslam.frontend import Keyframe, merged_surface, placed
 from mfslam.scan_motion import ADJUSTED_SIGMAS, MATCHED_SIGMAS
 from mfslam.types import Edge, FloatArray, IntArray, Match, Scan
 from mfslam.wheel_errors import WheelErrors, WheelStep
@@ -23,6 +24,7 @@ LOCALISE_SIGMAS = np.array([0.05, 0.05, 0.02])
 # the surroundings of a keyframe: so many before it, so far off at most
 SUCCESSIVE, AROUND_M = 3, 3.0
 ASKED = 1000  # keyframes at a time
+PLACED = 256  # keyframes whose points are remembered in the world: the way goes on beside those that were just asked for
 # of a step that wheels tell, or that nothing but inertia holds, where no wall does (1 m, 1 rad; 0.2 m, 0.2 rad)
 HARDLY_ANYTHING, INERTIA = np.eye(3), 25.0 * np.eye(3)
 
@@ -97,20 +99,24 @@ def localise_between(
     out = world_T_body.copy()
     index: IntArray = np.array([k.scan_index for k in keyframes], dtype=np.int64)
     around = _around(world_T_body[index], config.refine.other_passes)
-    loose = np.diag(LOCALISE_SIGMAS**-2.0)
+
+    @lru_cache(PLACED)
+    def in_world(k: int) -> FloatArray:
+        return placed(keyframes[k].cloud, world_T_body[index[k]])
+
     found: list[int] = []
     matches: list[Match] = []
     for a in range(len(keyframes) - 1):
         if index[a + 1] == index[a] + 1:
             continue
         members = sorted(around[a] | around[a + 1])
-        surface = merged_surface([keyframes[k].cloud for k in members], list(world_T_body[index[members]]))
+        surface = merged_surface([in_world(k) for k in members])
         for n in range(index[a] + 1, index[a + 1]):
             scan, guess = scans[n], world_T_body[n]
             cloud = deskew(scan, twists[n], config.deskew, config.icp.point_spacing_m)
             match = icp.register(
-                surface, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m, config.icp, guess, loose,
-                config.refine.search_radius_m,
+                surface, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m, config.icp, guess,
+                LOCALISE_SIGMAS, config.refine.search_radius_m,
             )  # fmt: skip
             if match.inlier_ratio >= config.refine.min_inlier_ratio:
                 found.append(n)
@@ -127,7 +133,7 @@ def localise_between(
 
 def _sigmas_of(information: FloatArray, config: IcpConfig) -> FloatArray:
     """(N, 3) of matches with a surface that is as good as known: all their beams count, and no drift of a recent map."""
-    floor = np.array([config.sigma_floor_m, config.sigma_floor_m, np.radians(config.sigma_floor_deg)])
+    floor = np.array([config.sigma_floor_m, config.sigma_floor_m, config.sigma_floor_rad])
     covariances = np.linalg.inv(information + np.diag(LOCALISE_SIGMAS**-2.0))
     variances = np.diagonal(covariances, axis1=1, axis2=2)
     own = config.independent_share * np.maximum(variances - floor**2, 0.0)

@@ -79,11 +79,12 @@ class _Window:
 
 class WheelErrors:
     """``errors`` (3,): scale (m per m), turn scale (rad per rad) and drift (rad per m), as learned so far, and
-    ``noise_share`` (3,): variance of what remains, over the configured one, along x, y, theta."""
+    ``noise_share`` (3,): variance of what remains, over the configured one, along x, y, theta; ``noise_scale`` (3,): how many
+    times noisier than configured the wheels turned out to be, 1 where they are no worse."""
 
     def __init__(self, config: OdometryConfig) -> None:
         self.errors = np.zeros(3)  # scale, turn_scale, drift_rad_per_m
-        self.noise_share = np.ones(3)
+        self._believe(np.ones(3))
         self._config = config
         self._turn_prior = np.diag([config.sigma_rotation_per_m**-2, config.sigma_rotation_per_rad**-2])
         self._scale_prior = config.sigma_translation_per_m**-2
@@ -92,14 +93,14 @@ class WheelErrors:
         self._windows, self._chi2 = np.zeros(3), np.zeros(3)
         self._window = _Window()
 
-    @property
-    def noise_scale(self) -> FloatArray:
-        """(3,) how many times noisier than configured the wheels turned out to be; 1 where they are no worse."""
-        return np.asarray(np.sqrt(np.maximum(1.0, self.noise_share)))
-
     def found(self, errors: FloatArray, noise_share: FloatArray) -> None:
         """What the adjustment of the whole log made of them."""
-        self.errors, self.noise_share = errors.copy(), noise_share
+        self.errors = errors.copy()
+        self._believe(noise_share)
+
+    def _believe(self, noise_share: FloatArray) -> None:
+        self.noise_share = noise_share
+        self.noise_scale = np.sqrt(np.maximum(1.0, noise_share))
 
     def as_json(self) -> dict[str, object]:
         """What was learned, in the units of a report."""
@@ -182,7 +183,7 @@ class WheelErrors:
         off = (window.matched - window.corrected) ** 2
         self._windows = fade * self._windows + sure
         self._chi2 = fade * self._chi2 + np.where(sure, off / window.wheel_variances, 0.0)
-        self.noise_share = (PRIOR_WINDOWS + self._chi2) / (PRIOR_WINDOWS + self._windows)
+        self._believe((PRIOR_WINDOWS + self._chi2) / (PRIOR_WINDOWS + self._windows))
 
 
 def _variances(information: FloatArray) -> FloatArray:

@@ -94,7 +94,7 @@ def corridor_match(method, sigma_m, prior_off):
     cloud = rooms.oriented_points(
         rooms.CORRIDOR, rooms.NO_PILLARS, np.array([0.3, 0.0, YAW]), sigma_m, seed=4
     )
-    prior, firmness = se2.compose(truth, np.array(prior_off)), np.diag([1e4, 1e4, 1e4])
+    prior, firmness = se2.compose(truth, np.array(prior_off)), np.full(3, 0.01)
     match = icp.register(
         corridor_table(sigma_m), *cloud, np.zeros(3), max(sigma_m, 0.005), method, prior, firmness
     )

@@ -15,7 +15,7 @@ import numpy as np
 from mfslam import icp, se2
 from mfslam.calibration.regression import regressed
 from mfslam.deskew import beam_times_s, deskew
-from mfslam.frontend import merged_surface
+from mfslam.frontend import merged_surface, placed
 from mfslam.slam import Slam, Solution
 from mfslam.types import FloatArray, IntArray, Laser
 
@@ -88,7 +88,7 @@ def _distortion(slam: Slam, solution: Solution, n: int, shares: FloatArray) -> f
         deskew(slam.scans[k], solution.twists[k], config.deskew, config.icp.point_spacing_m)
         for k in members.tolist()
     ]
-    surface = merged_surface(clouds, list(poses[members]))
+    surface = merged_surface([placed(*each) for each in zip(clouds, poses[members], strict=True)])
     cloud = deskew(slam.scans[n], solution.twists[n], config.deskew, config.icp.point_spacing_m)
     sigmas = np.concatenate([POSE_SIGMAS, CHANGE_S * np.array([1.0, 1.0, 2.0])])
     pose, change = icp.register_moving(

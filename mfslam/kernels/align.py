@@ -6,7 +6,7 @@ import numpy as np
 
 from mfslam.kernels.cells import CellTable
 from mfslam.kernels.compiling import helper, kernel
-from mfslam.kernels.matrices import drop_open_direction, open_direction
+from mfslam.kernels.matrices import add_error, drop_open_direction, open_direction
 from mfslam.kernels.partners import find_partners, nothing_known
 from mfslam.kernels.poses import transform_points, wrap_angle
 from mfslam.types import FloatArray, IntArray
@@ -206,6 +206,52 @@ def point_to_line(
     pose[2] = wrap_angle(pose[2])
     h = drop_open_direction(h, open_share)
     return pose, h, weight_sum / max(1, points.shape[0] - mute), rms, iteration, converged
+
+
+@kernel
+def honest_information(
+    hessian: FloatArray, sigma: float, rms_m: float, independent_share: float, floor_m: float, floor_rad: float
+) -> FloatArray:
+    """Information (3, 3) of a match from that of its residuals: ``independent_share`` of the beams count, residuals above
+    the model's ``sigma`` (quantisation, rough walls) take of it, and no match is better than the floors."""
+    scale = independent_share * min(1.0, (sigma / max(rms_m, 1e-9)) ** 2)
+    scaled = np.empty((3, 3))
+    for u in range(3):
+        for v in range(3):
+            scaled[u, v] = scale * hessian[u, v]
+    out: FloatArray = add_error(scaled, floor_m * floor_m, floor_rad * floor_rad)
+    return out
+
+
+@kernel
+def point_to_line_match(
+    table: CellTable,
+    cell: float,
+    points: FloatArray,
+    normals: FloatArray,
+    guess: FloatArray,
+    prior: FloatArray,
+    prior_sigmas: FloatArray,
+    sigma: float,
+    kernel_sigmas: float,
+    radius_start: float,
+    radius_end: float,
+    max_iterations: int,
+    open_share: float,
+    independent_share: float,
+    floor_m: float,
+    floor_rad: float,
+) -> tuple[FloatArray, FloatArray, float, float, int, bool]:
+    """`point_to_line` with a prior of ``prior_sigmas`` (3,), and with the `honest_information` of what it found."""
+    held = np.zeros((3, 3))
+    for d in range(3):
+        held[d, d] = prior_sigmas[d] ** -2
+    pose, hessian, inlier_ratio, rms_m, iterations, converged = point_to_line(
+        table, cell, points, normals, guess, prior, held, sigma, kernel_sigmas, radius_start, radius_end,
+        max_iterations, open_share,
+    )  # fmt: skip
+    information = honest_information(hessian, sigma, rms_m, independent_share, floor_m, floor_rad)
+    return pose, information, inlier_ratio, rms_m, iterations, converged
 
 
 @kernel

@@ -89,6 +89,16 @@ def between(w_T_a: FloatArray, w_T_b: FloatArray) -> FloatArray:
 
 
 @kernel
+def off_in_sigmas(w_T_a: FloatArray, w_T_b: FloatArray, sigmas: FloatArray) -> float:
+    """How far b stands from a, in ``sigmas`` (3,) of the worst direction of a."""
+    step = between(w_T_a, w_T_b)
+    worst = 0.0
+    for d in range(3):
+        worst = max(worst, abs(step[d]) / sigmas[d])
+    return worst
+
+
+@kernel
 def transform_points(a_T_b: FloatArray, points: FloatArray, normals: FloatArray, out: FloatArray) -> None:
     """Points and normals (M, 2) of frame b, moved into rows x, y, nx, ny of ``out`` (M, 4) in frame a."""
     c, s = math.cos(a_T_b[2]), math.sin(a_T_b[2])

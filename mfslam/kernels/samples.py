@@ -62,6 +62,7 @@ def _call_poses() -> None:
     points, normals = _seen()
     pose = poses.compose(np.zeros(3), poses.between(np.zeros(3), np.ones(3)))
     poses.advance(poses.interpolate(np.zeros(3), pose, 0.5), poses.log(pose), 0.1)
+    poses.off_in_sigmas(pose, pose, np.ones(3))
     poses.transform_points(pose, points, normals, np.empty((len(points), 4)))
     information = matrices.drop_open_direction(matrices.add_error(np.eye(3), 0.1, 0.1), 0.01)
     matrices.open_direction(information, 0.01)
@@ -79,6 +80,10 @@ def _call_registration() -> None:
     points, normals = _seen()
     table, pose = cells.build_cells(np.hstack([points, normals]), 0.25), np.zeros(3)
     align.point_to_line(table, 0.25, points, normals, pose, pose, np.eye(3), 0.02, 3.0, 0.5, 0.1, 3, 0.01)
+    align.point_to_line_match(
+        table, 0.25, points, normals, pose, pose, np.ones(3), 0.02, 3.0, 0.5, 0.1, 3, 0.01, 0.1, 0.01, 0.01
+    )
+    align.honest_information(np.eye(3), 0.02, 0.02, 0.1, 0.01, 0.01)
     align.point_to_point(table, table, 0.25, pose, 0.5, 0.1, 3, True)
     align.rigid_fit(points, points)
     align_moving.point_to_line_moving(
