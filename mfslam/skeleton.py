@@ -95,7 +95,9 @@ class Skeleton:
         a, b = self._knot[i], self._knot[j]
         if a == b:
             return
-        over_loop = reach.carried(edge.i_T_j, self._hanging(i)) + np.linalg.inv(edge.information + LEAST_KNOWN)
+        over_loop = reach.carried(edge.i_T_j, self._hanging(i)) + np.linalg.inv(
+            edge.information + LEAST_KNOWN
+        )
         here = self._hanging(j)
         most = STRETCH * (_cost(over_loop) + _cost(here))
         if not np.isfinite(self._paths(b, world_T_body, most=most)[1][a]):

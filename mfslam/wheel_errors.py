@@ -122,7 +122,8 @@ class WheelErrors:
 
     def told(self, corrected: FloatArray) -> FloatArray:
         """The inverse of `corrected`: what the wheels told."""
-        return as_told(corrected[None], self.errors)[0]
+        (step,) = as_told(corrected[None], self.errors)
+        return np.asarray(step)
 
     def factors(self, steps: Sequence[WheelStep]) -> tuple[FloatArray, FloatArray]:
         """The corrected steps (N, 3) as factors and their information (N, 3, 3): by the noise that was learned, next to none
@@ -130,9 +131,19 @@ class WheelErrors:
         told, matched = np.array([s.told for s in steps]), np.array([s.matched for s in steps])
         known = np.array([s.information for s in steps])
         jumped = np.array([s.jumped for s in steps])
-        shares = self.noise_share / self._config.white_share * np.where(jumped, 1.0 / DISTRUSTED_SHARE, 1.0)[:, None]
+        shares = (
+            self.noise_share
+            / self._config.white_share
+            * np.where(jumped, 1.0 / DISTRUSTED_SHARE, 1.0)[:, None]
+        )
         corrected, information = wheel_steps.weigh_steps(
-            told, matched, _variances(known), shares, self.errors, self._config.step_noise, CONTRADICTION_SIGMAS
+            told,
+            matched,
+            _variances(known),
+            shares,
+            self.errors,
+            self._config.step_noise,
+            CONTRADICTION_SIGMAS,
         )
         return corrected, information
 

@@ -210,7 +210,12 @@ def point_to_line(
 
 @kernel
 def honest_information(
-    hessian: FloatArray, sigma: float, rms_m: float, independent_share: float, floor_m: float, floor_rad: float
+    hessian: FloatArray,
+    sigma: float,
+    rms_m: float,
+    independent_share: float,
+    floor_m: float,
+    floor_rad: float,
 ) -> FloatArray:
     """Information (3, 3) of a match from that of its residuals: ``independent_share`` of the beams count, residuals above
     the model's ``sigma`` (quantisation, rough walls) take of it, and no match is better than the floors."""

@@ -35,7 +35,8 @@ def carried(a_T_b: FloatArray, covariance: FloatArray) -> FloatArray:
     for d in range(3):
         poses[1, d] = a_T_b[d]
     _carry(out, 1, covariance, poses, 0, np.empty((3, 3)))
-    return out[1].copy()
+    at_b: FloatArray = out[1].copy()
+    return at_b
 
 
 @kernel

@@ -18,7 +18,8 @@ def pose_at(times_s: FloatArray, odom_T_body: FloatArray, count: int, time_s: fl
         else:
             low = middle + 1
     if low == 0 or low == count:
-        return odom_T_body[max(0, low - 1)].copy()
+        at_end: FloatArray = odom_T_body[max(0, low - 1)].copy()
+        return at_end
     start_s = times_s[low - 1]
     share = (time_s - start_s) / (times_s[low] - start_s)
     pose: FloatArray = interpolate(odom_T_body[low - 1], odom_T_body[low], share)
@@ -30,9 +31,7 @@ def mean_twist(
     times_s: FloatArray, odom_T_body: FloatArray, count: int, start_s: float, end_s: float
 ) -> FloatArray:
     """Body twist (3,) per second that leads from the pose at one instant to that at another."""
-    step = between(
-        pose_at(times_s, odom_T_body, count, start_s), pose_at(times_s, odom_T_body, count, end_s)
-    )
+    step = between(pose_at(times_s, odom_T_body, count, start_s), pose_at(times_s, odom_T_body, count, end_s))
     out = np.empty(3)
     out[0], out[1], out[2] = twist_to(step[0], step[1], step[2])
     return out / (end_s - start_s)
