@@ -163,8 +163,8 @@ class LoopCloser:
     ) -> Loop | None:
         """The best pose of the query in the candidate's place, if it stands up to verification."""
         config = self.config
-        place, maps = self._memory.at(self._members(candidate.keyframe, trailing=False), candidate.keyframe)
-        points = np.ascontiguousarray(query.surface[:, :2])
+        place = self._memory.at(self._members(candidate.keyframe, trailing=False), candidate.keyframe)
+        points = query.points_m
         wide = candidate.window_m > config.wide_window_m
         center = poses.between(world_T_body[place.anchor], world_T_body[query.anchor])
         window_m = candidate.window_m
@@ -176,7 +176,7 @@ class LoopCloser:
                 center[:2] *= max(0.0, 1.0 - window_m / distance)
         if wide:
             found = hypotheses(
-                maps[1],
+                place.coarse_map,
                 points,
                 center,
                 window_m,
@@ -184,9 +184,9 @@ class LoopCloser:
                 config.min_score,
                 config.ambiguous_score,
             )
-            found = [search(maps[0], points, pose, 0.3, 0.06, config.min_score) for pose, _ in found]
+            found = [search(place.fine_map, points, pose, 0.3, 0.06, config.min_score) for pose, _ in found]
         else:
-            found = [search(maps[0], points, center, window_m, candidate.window_rad, config.min_score)]
+            found = [search(place.fine_map, points, center, window_m, candidate.window_rad, config.min_score)]
         found = [(pose, score) for pose, score in found if score > 0.0]
         if not found:
             self.statistics.refuse("no match in the window")
@@ -212,8 +212,7 @@ class LoopCloser:
         self, place: Place, query: Place, pose: FloatArray, score: float, wide: bool, range_sigma_m: float
     ) -> Fit:
         match = icp.register(
-            place.table, np.ascontiguousarray(query.surface[:, :2]), np.ascontiguousarray(query.surface[:, 2:]),
-            pose, range_sigma_m, self.icp_config, search_radius_m=0.3,
+            place.table, query.points_m, query.normals, pose, range_sigma_m, self.icp_config, search_radius_m=0.3,
         )  # fmt: skip
         return Fit(match, score, self._refusal(place, query, match, wide))
 
@@ -221,8 +220,8 @@ class LoopCloser:
         """Why a match is not to be believed; None where enough is in common, what is in common fits closely,
         and nothing stands in seen free space."""
         config = self.config
-        there, seen_there = place.agreement(match.ref_T_src, query.surface)
-        back, seen_back = query.agreement(poses.between(match.ref_T_src, np.zeros(3)), place.surface)
+        there, seen_there = place.agreement(match.ref_T_src, query)
+        back, seen_back = query.agreement(poses.between(match.ref_T_src, np.zeros(3)), place)
         if max(seen_there, seen_back) < config.min_coverage or min(seen_there, seen_back) < 0.2:
             return "too little in common"
         wanted = config.wide_agreement if wide else config.min_agreement

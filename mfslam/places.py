@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -46,23 +47,35 @@ class Place:
         grid = evidence.evidence_grid(
             eyes, first, np.ascontiguousarray(oriented[:, :2]), corner, size, size, CELL_M
         )
-        near = np.abs(oriented[:, :2]).max(axis=1) < REACH_M if len(oriented) else np.zeros(0, bool)
+        near = (np.abs(oriented[:, 0]) < REACH_M) & (np.abs(oriented[:, 1]) < REACH_M)
         raw = icp.reference_table(oriented[near])
         surface = cells.smooth_surface(raw, icp.CELL_M, SMOOTHING_M, SURFACE_SPACING_M)
         return cls(anchor, surface, icp.reference_table(surface), grid, corner)
 
-    def search_maps(self) -> tuple[SearchMap, SearchMap]:
-        """A fine one for narrow windows, a coarse one for wide windows."""
-        points, center = self.surface[:, :2], np.zeros(2)
-        return SearchMap.of(points, center, REACH_M, CELL_M), SearchMap.of(
-            points, center, REACH_M, 2 * CELL_M
-        )
+    @cached_property
+    def points_m(self) -> FloatArray:
+        """(M, 2)"""
+        return np.ascontiguousarray(self.surface[:, :2])
 
-    def agreement(self, place_T_points: FloatArray, surface: FloatArray) -> tuple[float, float]:
-        """Share of the commonly seen points that are not contradicted, and share commonly seen."""
-        points = np.ascontiguousarray(surface[:, :2])
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(M, 2)"""
+        return np.ascontiguousarray(self.surface[:, 2:])
+
+    @cached_property
+    def fine_map(self) -> SearchMap:
+        """For narrow windows."""
+        return SearchMap.of(self.points_m, np.zeros(2), REACH_M, CELL_M)
+
+    @cached_property
+    def coarse_map(self) -> SearchMap:
+        """For wide windows."""
+        return SearchMap.of(self.points_m, np.zeros(2), REACH_M, 2 * CELL_M)
+
+    def agreement(self, place_T_other: FloatArray, other: Place) -> tuple[float, float]:
+        """Share of the other's points that are seen from both and not contradicted here, and share seen from both."""
         agree, contradict, count = evidence.agreement(
-            self.evidence, self.corner_m, CELL_M, place_T_points, points
+            self.evidence, self.corner_m, CELL_M, place_T_other, other.points_m
         )
         seen = agree + contradict
         return agree / max(1, seen), seen / max(1, count)
@@ -74,13 +87,12 @@ class PlaceMemory:
     def __init__(self, keyframes: list[Keyframe], capacity: int = 80) -> None:
         self._keyframes = keyframes
         self._capacity = capacity
-        self._made: OrderedDict[tuple[int, int], tuple[Place, tuple[SearchMap, SearchMap]]] = OrderedDict()
+        self._made: OrderedDict[tuple[int, int], Place] = OrderedDict()
 
-    def at(self, members: range, anchor: int) -> tuple[Place, tuple[SearchMap, SearchMap]]:
+    def at(self, members: range, anchor: int) -> Place:
         key = (members.start, members.stop)
         if key not in self._made:
-            place = Place.of(self._keyframes, members, anchor)
-            self._made[key] = (place, place.search_maps())
+            self._made[key] = Place.of(self._keyframes, members, anchor)
             if len(self._made) > self._capacity:
                 self._made.popitem(last=False)
         self._made.move_to_end(key)

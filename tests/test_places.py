@@ -47,7 +47,7 @@ def test_the_surface_lies_on_the_walls(place):
 def test_a_second_view_from_the_right_pose_agrees(place):
     here = np.array([0.5, -1.2, 2.0])
     query = Place.of(keyframes_in(ROOM, here[None]), range(1), 0)
-    agree, seen = place.agreement(se2.between(PATH[1], here), query.surface)
+    agree, seen = place.agreement(se2.between(PATH[1], here), query)
     assert agree > 0.97 and seen > 0.9
 
 
@@ -55,12 +55,12 @@ def test_a_view_from_a_wrong_pose_is_contradicted(place):
     here = np.array([0.5, -1.2, 2.0])
     query = Place.of(keyframes_in(ROOM, here[None]), range(1), 0)
     wrong = se2.compose(se2.between(PATH[1], here), np.array([0.8, 0.3, 0.5]))
-    assert place.agreement(wrong, query.surface)[0] < 0.8
+    assert place.agreement(wrong, query)[0] < 0.8
 
 
 def test_what_was_never_seen_is_neither(place):
     query = Place.of(keyframes_in(ROOM, PATH[:1]), range(1), 0)
-    assert place.agreement(np.array([100.0, 0.0, 0.0]), query.surface) == (0.0, 0.0)
+    assert place.agreement(np.array([100.0, 0.0, 0.0]), query) == (0.0, 0.0)
 
 
 def test_a_place_does_not_depend_on_the_local_frame(place):
