@@ -74,14 +74,14 @@ def test_scans_that_saw_nothing_make_an_empty_place():
     nothing = np.array([[500.0, 500.0, 501.0, 500.0]])
     empty = Place.of(keyframes_in(nothing, PATH[:2], np.zeros((0, 3))), range(2), 0)
     assert len(empty.surface) == 0
-    assert empty.agreement(np.zeros(3), empty.surface) == (0.0, 0.0)
+    assert empty.agreement(np.zeros(3), empty) == (0.0, 0.0)
 
 
 def test_a_place_is_made_once_and_the_least_used_is_forgotten():
     memory = PlaceMemory(keyframes_in(ROOM, PATH), capacity=2)
-    first = memory.at(range(2), 0)[0]
-    second = memory.at(range(1, 3), 1)[0]
-    assert memory.at(range(2), 0)[0] is first
+    first = memory.at(range(2), 0)
+    second = memory.at(range(1, 3), 1)
+    assert memory.at(range(2), 0) is first
     memory.at(range(2, 4), 2)  # the second was used longest ago
-    assert memory.at(range(2), 0)[0] is first
-    assert memory.at(range(1, 3), 1)[0] is not second
+    assert memory.at(range(2), 0) is first
+    assert memory.at(range(1, 3), 1) is not second
