@@ -10,6 +10,8 @@ import numpy as np
 
 from mfslam.types import FloatArray, IntArray
 
+MOST_CELLS_A_POINT = 4  # of the area, to have a count for each
+
 
 @dataclass(frozen=True, slots=True)
 class Crispness:
@@ -33,14 +35,20 @@ def crispness(points_m: FloatArray, resolution_m: float = 0.02) -> Crispness:
     """Crispness of points (P, 2) over cells of ``resolution_m``; entropy is -sum p log p over cells hit."""
     if len(points_m) == 0:
         return Crispness(0, 0.0)
-    # one column after the other, sorted in place: clouds are large
+    # one column after the other, in place: clouds are large
     keys = _cells_along(points_m[:, 0], resolution_m)
     rows = _cells_along(points_m[:, 1], resolution_m)
-    keys *= int(rows.max()) + 1
+    width, height = int(keys.max()) + 1, int(rows.max()) + 1
+    keys *= height
     keys += rows
-    keys.sort()
-    starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
-    share = np.diff(starts, append=len(keys)) / len(keys)
+    if width * height <= MOST_CELLS_A_POINT * len(keys):  # counted three times as fast as sorted
+        counts = np.bincount(keys)
+        counts = counts[counts > 0]
+    else:
+        keys.sort()
+        starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
+        counts = np.diff(starts, append=len(keys))
+    share = counts / len(keys)
     return Crispness(len(share), float(-np.sum(share * np.log(share))))
 
 
