@@ -18,23 +18,26 @@ class AdjustedInformation:
     """Covariances of K adjusted poses (K, 3), the first being the origin."""
 
     def __init__(self, world_T_body: FloatArray, solver: Solver, variance_scale: float) -> None:
-        """``variance_scale``: how many times less sure everything is than the solver's matrix says."""
+        """``variance_scale``: how many times less sure everything is said to be than the solver's matrix says."""
         count = len(world_T_body)
+        self.variance_scale = variance_scale
         self._world_T_body = world_T_body
         carry, coarse = solver.coarse()
         self._carried = carry[: 3 * count]
         self._coarse = coarse / variance_scale
         # the first pose plays as the others do: they are seen from it
         self._single = variance_scale * solver.play_within_stretches()[:count]
-        # (K, 3) of each pose while its stretch is held
-        self.single_variances = np.diagonal(self._single, axis1=1, axis2=2).copy()
+        # (K, 3) of each pose while its stretch is held, by the solver's matrix
+        self.single_variances = np.diagonal(self._single, axis1=1, axis2=2) / variance_scale
         self._own = self._single
 
     def take_smoothed(self, variances: FloatArray) -> None:
-        """Single poses have been smoothed since, and have ``variances`` (K, 3) now, in their tangents."""
+        """Single poses have been smoothed since, and have ``variances`` (K, 3) now, in their tangents, as the solver's matrix
+        says it of what they were before."""
         # rounding leaves nothing of one that the first pose's hold decides
         sound = np.all(self.single_variances > 0.0, axis=1)
         scale = np.sqrt(variances / np.where(sound[:, None], self.single_variances, 1.0))
+        variances = self.variance_scale * variances
         scaled = scale[:, :, None] * self._single * scale[:, None, :]
         self._own = np.where(sound[:, None, None], scaled, variances[:, :, None] * np.eye(3))
 
