@@ -15,7 +15,7 @@ from mfslam.calibration.problem import Problem
 from mfslam.calibration.range_errors import find_range_errors, merged
 from mfslam.calibration.record import Record, cut_windows
 from mfslam.calibration.solve import Solved, solve
-from mfslam.calibration.start import find_start
+from mfslam.calibration.start import Start, find_start
 from mfslam.calibration.told_poses import paired
 from mfslam.calibration.wheel_track import DifferentialDrive, PoseOdometry, WheelLaw
 from mfslam.slam import Slam, Solution
@@ -99,6 +99,15 @@ def calibrate(slam: Slam, solution: Solution) -> Calibration | None:
     found = found.extended(gyro_estimates(gyro, config)).extended(turn_estimates(turn, config))
     ranges = None if slam.motion.comes_with_scans else find_range_errors(slam, solution)
     return replace(found, range_errors=ranges)
+
+
+def calibrate_ranges(slam: Slam, solution: Solution) -> Calibration | None:
+    """What walls alone tell of a laser, where wheels tell nothing."""
+    ranges = find_range_errors(slam, solution)
+    if ranges is None:
+        return None
+    as_told = Start(0.0, np.eye(2), 1.0, 1.0)
+    return Calibration([], np.zeros((0, 0)), as_told, slam.config, range_errors=ranges)
 
 
 def scatter_over_lengths(problem: Problem, delay_s: float, solved: Solved) -> FloatArray:

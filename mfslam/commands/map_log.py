@@ -112,9 +112,12 @@ def map_calibrated(
 
 
 def _calibrated(slam: Slam, solution: Solution) -> Calibration | None:
-    from mfslam.calibration.run import calibrate  # here: scipy's optimisers take long to load
+    from mfslam.calibration.run import (  # here: scipy's optimisers take long to load
+        calibrate,
+        calibrate_ranges,
+    )
 
-    return calibrate(slam, solution)
+    return calibrate(slam, solution) or calibrate_ranges(slam, solution)
 
 
 def _as_sharp(after: dict[str, float], before: dict[str, float]) -> bool:

@@ -7,6 +7,7 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drivers.simulator import RobotModel, laser_model, load_world, simulate
@@ -14,6 +15,8 @@ from drivers.simulator.simulate import without_pose
 from drivers.writers.log import write_log
 from mfslam.cli import main
 from mfslam.commands.map_log import _as_sharp
+from mfslam.settings import load
+from mfslam.types import Scan
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +47,28 @@ def test_late_stamps_are_found_and_the_map_is_made_with_them(late: Path, how: st
     assert calibration["used"] is True
     assert calibration["found"]["delay"]["found"] == pytest.approx(-0.05, abs=0.003)
     assert config_value(out, "transport_delay_s") == pytest.approx(-0.05, abs=0.003)
+
+
+def test_a_laser_whose_ranges_are_wrong_is_corrected_without_any_wheels(tmp_path: Path) -> None:
+    log, out = tmp_path / "wave.mcap", tmp_path / "out"
+    simulation = simulate(load_world("office:2:3:1", 1.0), RobotModel(), laser_model("urg-04lx"), seed=1)
+    scans = [message for message in simulation.messages if isinstance(message, Scan)][:400]
+    told = [
+        scan.ranges_m + 0.025 * np.sin(2.0 * np.pi * np.nan_to_num(scan.ranges_m, posinf=0.0) / 2.1)
+        for scan in scans
+    ]
+    wrong = [
+        dataclasses.replace(scan, ranges_m=ranges_m.astype(np.float32), odom_T_body=None)
+        for scan, ranges_m in zip(scans, told, strict=True)
+    ]
+    write_log(wrong, log)
+    assert main(["map", str(log), "-o", str(out), "-q", "--preset", "urg-04lx"]) == 0
+    calibration = json.loads((out / "summary.json").read_text())["calibration"]
+    assert calibration["used"] is True and calibration["range_errors"]["significant"] is True
+    assert calibration["sharpness"]["after"]["cells"] < 0.95 * calibration["sharpness"]["before"]["cells"]
+    errors_m = load([out / "config.yaml"]).sensor.range_error_m
+    assert np.ptp(errors_m) > 0.04
+    assert "calibrated" in (out / "report.html").read_text()
 
 
 def test_a_map_that_gets_blunter_by_either_measure_is_refused() -> None:
