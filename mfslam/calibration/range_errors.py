@@ -77,7 +77,7 @@ class RangeErrors:
 def find_range_errors(slam: Slam, solution: Solution) -> RangeErrors | None:
     """None where the log tells too little of them."""
     keyframes = solution.keyframes[:MOST_KEYFRAMES]
-    if len(keyframes) < LEAST_KEYFRAMES or slam.config.deskew.mode != "pose":
+    if len(keyframes) < LEAST_KEYFRAMES:
         return None
     noise = Noise(slam.scans[0].laser.range_sigma_m, slam.config.icp.sigma_floor_m)
     whole = _problem(slam, solution, keyframes)
