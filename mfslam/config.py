@@ -4,7 +4,6 @@ differs."""
 from __future__ import annotations
 
 import math
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -126,7 +125,7 @@ class OdometryConfig(_Stage):
     max_speed_m_s: float = Field(10.0, gt=0, description="Faster wheel motion is a jump, not driving, m/s.")
     max_yaw_rate_rad_s: float = Field(10.0, gt=0, description="Faster wheel turning is a jump, rad/s.")
 
-    @cached_property
+    @property
     def step_noise(self) -> FloatArray:
         """(3, 3) sigmas along, across and of the turn: of any step, per metre, per radian."""
         return np.array(
@@ -200,7 +199,7 @@ class IcpConfig(_Stage):
     sigma_floor_m: float = Field(0.004, ge=0, description="Systematic error of any match, m (one sigma).")
     sigma_floor_deg: float = Field(0.10, ge=0, description="Systematic error of any match, deg (one sigma).")
 
-    @cached_property
+    @property
     def sigma_floor_rad(self) -> float:
         return math.radians(self.sigma_floor_deg)
 

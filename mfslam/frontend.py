@@ -94,6 +94,9 @@ class Frontend:
     blind_s: float = 0.0  # since the robot's pose was last known
     spacing: float = 1.0  # of keyframes, times what is configured: a live run on a slow machine widens it
 
+    def __post_init__(self) -> None:
+        self._step_noise = self.config.odometry.step_noise
+
     def process(self, index: int, scan: Scan, motion: PredictedMotion) -> Step:
         """Place one scan in the local frame."""
         config = self.config
@@ -187,7 +190,7 @@ class Frontend:
         if motion.step is None:
             sigmas = MATCH_SIGMAS + free_motion_sigmas(motion.dt_s)
         else:
-            sigmas = MATCH_SIGMAS + 2.0 * motion.noise_scale * step_sigmas(predicted, self.config.odometry)
+            sigmas = MATCH_SIGMAS + 2.0 * motion.noise_scale * step_sigmas(predicted, self._step_noise)
         return float(poses.off_in_sigmas(predicted, step, sigmas))
 
     def _match(
@@ -200,7 +203,7 @@ class Frontend:
             prior, sigmas = guess, SEARCHED_SIGMAS
         elif self.wheels_trusted:
             prior = poses.compose(self.recent[-1].local_T_body, self.wheels_since_keyframe)
-            sigmas = motion.noise_scale * step_sigmas(self.wheels_since_keyframe, self.config.odometry)
+            sigmas = motion.noise_scale * step_sigmas(self.wheels_since_keyframe, self._step_noise)
         else:
             prior, sigmas = guess, free_motion_sigmas(motion.dt_s)
         return icp.register(

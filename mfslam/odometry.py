@@ -124,7 +124,7 @@ def is_jump(step: FloatArray, dt_s: float, config: OdometryConfig) -> bool:
     )
 
 
-def step_sigmas(step: FloatArray, config: OdometryConfig) -> FloatArray:
+def step_sigmas(step: FloatArray, step_noise: FloatArray) -> FloatArray:
     """One-sigma noise (3,) of a wheel motion ``step`` (3,) in its own frame: grows with the distance and
-    the turn, sideways slip included."""
-    return np.asarray(wheel_steps.step_sigmas(step, config.step_noise))
+    the turn, sideways slip included (`OdometryConfig.step_noise`)."""
+    return np.asarray(wheel_steps.step_sigmas(step, step_noise))

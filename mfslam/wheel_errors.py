@@ -85,7 +85,7 @@ class WheelErrors:
     def __init__(self, config: OdometryConfig) -> None:
         self.errors = np.zeros(3)  # scale, turn_scale, drift_rad_per_m
         self._believe(np.ones(3))
-        self._config = config
+        self._config, self._step_noise = config, config.step_noise
         self._turn_prior = np.diag([config.sigma_rotation_per_m**-2, config.sigma_rotation_per_rad**-2])
         self._scale_prior = config.sigma_translation_per_m**-2
         self._turn_information, self._turn_vector = np.zeros((2, 2)), np.zeros(2)
@@ -142,7 +142,7 @@ class WheelErrors:
             _variances(known),
             shares,
             self.errors,
-            self._config.step_noise,
+            self._step_noise,
             CONTRADICTION_SIGMAS,
         )
         return corrected, information
@@ -159,7 +159,7 @@ class WheelErrors:
         window.told += step.told
         window.matched += step.matched
         window.corrected += corrected
-        window.wheel_variances += step_sigmas(corrected, self._config) ** 2
+        window.wheel_variances += step_sigmas(corrected, self._step_noise) ** 2
         # errors of the matches within the window cancel: those at its two ends remain
         window.match_variances = np.maximum(window.match_variances, 2.0 * _variances(step.information))
         window.travelled_m += abs(float(step.told[0]))

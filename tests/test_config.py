@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
-from mfslam.config import Config
+from mfslam.config import Config, OdometryConfig
 from mfslam.settings import Layers, describe, did_you_mean, load, preset_names, preset_path
 from mfslam.types import MfslamError
 
@@ -193,3 +193,10 @@ def test_presets_by_path_and_unknown_ones(tmp_path):
     assert preset_path(str(path)) == path
     with pytest.raises(MfslamError, match="did you mean generic"):
         preset_path("generik")
+
+
+def test_a_copy_with_another_value_computes_with_it():
+    config = OdometryConfig()
+    before = config.step_noise
+    looser = config.model_copy(update={"sigma_floor_m": 1.0})
+    assert before[0, 0] == config.sigma_floor_m and looser.step_noise[0, 0] == 1.0

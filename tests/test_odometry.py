@@ -118,13 +118,13 @@ def test_what_wheels_can_do():
 
 
 def test_noise_grows_with_distance_and_turn():
-    still = step_sigmas(np.zeros(3), CONFIG)
+    still = step_sigmas(np.zeros(3), CONFIG.step_noise)
     np.testing.assert_allclose(still, [CONFIG.sigma_floor_m, CONFIG.sigma_floor_m, CONFIG.sigma_floor_rad])
-    metre = step_sigmas(np.array([1.0, 0.0, 0.0]), CONFIG)
+    metre = step_sigmas(np.array([1.0, 0.0, 0.0]), CONFIG.step_noise)
     np.testing.assert_allclose(metre - still, [0.05, 0.03, 0.03], atol=1e-12)
-    quarter = step_sigmas(np.array([0.0, 0.0, -math.pi / 2]), CONFIG)
+    quarter = step_sigmas(np.array([0.0, 0.0, -math.pi / 2]), CONFIG.step_noise)
     np.testing.assert_allclose(quarter - still, [0.0, 0.0, 0.08 * math.pi / 2], atol=1e-12)
-    np.testing.assert_allclose(step_sigmas(np.array([-1.0, 0.0, 0.0]), CONFIG), metre)
+    np.testing.assert_allclose(step_sigmas(np.array([-1.0, 0.0, 0.0]), CONFIG.step_noise), metre)
 
 
 def test_a_step_is_a_jump_when_no_robot_drives_so_far():

@@ -79,7 +79,7 @@ def test_better_wheels_than_configured_become_surer_factors_and_worse_ones_less(
     drive(good, drift=0.01)
     drive(bad, noise=0.1)
     step = WheelStep(np.array([0.2, 0.0, 0.0]), good.corrected(np.array([0.2, 0.0, 0.0])), SURE)
-    configured = CONFIG.white_share * step_sigmas(step.told, CONFIG) ** -2
+    configured = CONFIG.white_share * step_sigmas(step.told, CONFIG.step_noise) ** -2
     assert np.all(np.diag(good.factors([step])[1][0]) > 5.0 * configured)
     clean = WheelStep(step.told, bad.corrected(step.told), SURE)
     assert np.all(np.diag(bad.factors([clean])[1][0]) < 0.5 * configured)
@@ -112,5 +112,5 @@ def test_what_is_known_of_the_noise_and_a_jump_stand_in_the_factor():
     steps, (information, distrusted) = errors.factors([fits, jumps])
     np.testing.assert_allclose(steps, [told, told], atol=1e-15)
     sigmas = np.sqrt(CONFIG.white_share / np.diag(information))
-    np.testing.assert_allclose(sigmas, step_sigmas(told, CONFIG), rtol=1e-12)
+    np.testing.assert_allclose(sigmas, step_sigmas(told, CONFIG.step_noise), rtol=1e-12)
     np.testing.assert_allclose(distrusted, 1e-4 * information)

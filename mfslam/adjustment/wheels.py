@@ -45,7 +45,7 @@ class WheelTerms:
         self.errors = np.tile(errors, (1 + int(self.stretch.max(initial=-1)), 1))
         self.share = share.copy()
         self._start = errors
-        sigmas = np.array([step_sigmas(told, config) for told in self.told]).reshape(-1, 3)
+        sigmas = np.array([step_sigmas(told, config.step_noise) for told in self.told]).reshape(-1, 3)
         self._variances = sigmas**2 / config.white_share
         self._learn = config.learn_errors
         self._prior = np.diag(
