@@ -11,6 +11,7 @@ deskew on, off and in the reversed beam order.
     scripts/benchmark.py --check                     # fails when accuracy fell by more than 10 %
     scripts/benchmark.py --simulated                 # long simulated offices with exact truth instead
     scripts/benchmark.py --ablation                  # what each part of the method is worth instead
+    scripts/benchmark.py --nees                      # whether stated covariances are true, by relations
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from pathlib import Path
 
 from benchmarking.check import complaints, stored_figures
 from benchmarking.page import machine, write_markdown
+from benchmarking.relation_nees import nees_tables
 from benchmarking.runs import find_logs, relations_beside, run_all
 from benchmarking.simulated import ablation_table, simulated_table
 from benchmarking.tables import tables
@@ -55,10 +57,13 @@ def main() -> int:
     )
     parser.add_argument("--simulated", action="store_true", help="long simulated offices, by laser")
     parser.add_argument("--ablation", action="store_true", help="one part of the method left out at a time")
+    parser.add_argument(
+        "--nees", action="store_true", help="stated covariances of logs with relations against these"
+    )
     options = parser.parse_args()
     command = " ".join(["scripts/benchmark.py", *sys.argv[1:]])
     try:
-        if options.simulated or options.ablation:
+        if options.simulated or options.ablation or options.nees:
             instead(options, command)
             return 0
         logs = find_logs(options.data, options.only)
@@ -89,17 +94,20 @@ def instead(options: argparse.Namespace, command: str) -> None:
     """The tables that are asked for by name, each with markers of its own."""
     made = {}
     if options.simulated:
-        made["simulated"] = ("Simulated offices with exact truth", simulated_table(options.set))
+        made["simulated"] = [("Simulated offices with exact truth", simulated_table(options.set))]
     if options.ablation:
         logs = find_logs(options.data, options.only)
         with tempfile.TemporaryDirectory(prefix="mfslam-ablation-") as scratch:
-            made["ablation"] = (
-                "Without one part of the method", ablation_table(logs, options.set, Path(scratch))
-            )  # fmt: skip
-    for marker, (title, table) in made.items():
-        print(f"\n{title}\n\n{as_text(table)}")
+            made["ablation"] = [
+                ("Without one part of the method", ablation_table(logs, options.set, Path(scratch)))
+            ]
+    if options.nees:
+        made["nees"] = nees_tables(find_logs(options.data, options.only))
+    for marker, several in made.items():
+        for title, table in several:
+            print(f"\n{title}\n\n{as_text(table)}")
         if options.markdown:
-            write_markdown(options.markdown, [(title, table)], command, marker)
+            write_markdown(options.markdown, several, command, marker)
 
 
 if __name__ == "__main__":
