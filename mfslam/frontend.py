@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,69 +11,23 @@ import numpy as np
 from mfslam import icp, recovery
 from mfslam.config import Config
 from mfslam.deskew import beam_times_s, deskew
+from mfslam.inertia import Inertia
 from mfslam.kernels import cells, poses
+from mfslam.observability import OPEN_SIGMA_M
 from mfslam.odometry import step_sigmas
 from mfslam.recovery import MAX_ACCELERATION, free_motion_sigmas
 from mfslam.search import SearchMap
+from mfslam.step_records import NOTHING_KNOWN, Keyframe, PredictedMotion, Step, trust
+from mfslam.surfaces import merged_surface, placed
 from mfslam.types import DeskewedScan, FloatArray, Match, Scan
 
 SURPRISE_GATE = 3.0  # sigmas
-SMOOTHING_M, SURFACE_SPACING_M = 0.1, 0.04  # of surfaces made of several scans
 MATCH_SIGMAS = np.array([0.01, 0.01, 0.005])  # of one match, beside those of the wheels (m, m, rad)
 SEARCHED_SIGMAS = np.array([0.3, 0.3, 0.2])  # a searched pose holds only what the scan leaves open
 SEARCHED_M = 15.0  # of the recent map, about the robot
 LOST_SHARE = 0.5  # of min_inlier_ratio: a scan that fits worse says nothing of where the robot is
 JUMP_POINTS = 30  # so many more points must fit where a scan is said to stand against its prediction
 JOINT_ROUNDS = 2  # of deskewing and solving for pose and twist
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class PredictedMotion:
-    """What is known of the motion before a scan is matched.
-
-    ``twist`` (3,): body velocity during the scan. ``dt_s``: time since the previous scan. ``step`` (3,):
-    wheel motion since the previous scan; None without wheels. ``turn_rad``: the gyro's turn since then.
-    ``noise_scale`` (3,): how many times noisier than configured the wheels turned out to be. ``pause_s``:
-    what may have passed since the previous scan beyond ``dt_s``.
-    """
-
-    twist: FloatArray
-    dt_s: float
-    step: FloatArray | None = None
-    turn_rad: float | None = None
-    noise_scale: FloatArray = field(default_factory=lambda: np.ones(3))
-    pause_s: float = 0.0
-
-
-NOTHING_KNOWN = PredictedMotion(np.zeros(3), 0.0)
-
-
-@dataclass(eq=False, slots=True)
-class Keyframe:
-    """A scan that the graph holds a pose for."""
-
-    scan_index: int
-    cloud: DeskewedScan
-    local_T_body: FloatArray
-
-
-@dataclass(eq=False, slots=True)
-class Step:
-    """What the front end made of one scan.
-
-    ``blind_s``: how long nothing had told where the robot goes, when it was found again or given up; else 0.
-    ``found``: whether it was found again; if not, nothing ties this scan to those before.
-    ``twist`` (3,): motion through the scan that it was deskewed with; None: as predicted.
-    """
-
-    local_T_body: FloatArray
-    match: Match | None
-    is_keyframe: bool
-    searched: bool = False
-    odometry_jump: bool = False
-    blind_s: float = 0.0
-    found: bool = True
-    twist: FloatArray | None = None
 
 
 @dataclass(eq=False)
@@ -90,6 +43,8 @@ class Frontend:
     last_step: FloatArray = field(default_factory=lambda: np.zeros(3))
     wheels_since_keyframe: FloatArray = field(default_factory=lambda: np.zeros(3))
     wheels_trusted: bool = True
+    inertia: Inertia = field(default_factory=Inertia)
+    coasts: bool = True  # no wheels told the last step
     last_dt_s: float = 0.0
     blind_s: float = 0.0  # since the robot's pose was last known
     spacing: float = 1.0  # of keyframes, times what is configured: a live run on a slow machine widens it
@@ -102,12 +57,13 @@ class Frontend:
         config = self.config
         cloud = deskew(scan, motion.twist, config.deskew, config.icp.point_spacing_m)
         if self.reference is None:
+            self.inertia.begin()
             self._add_keyframe(index, cloud)
             return Step(self.local_T_body, None, True)
         blind_s = self.blind_s + motion.dt_s + motion.pause_s
         coasted = recovery.coasted(self.last_step, self.last_dt_s, motion.dt_s + motion.pause_s)
-        self.last_dt_s = motion.dt_s
-        predicted = coasted if motion.step is None else motion.step
+        onward = predicted = self._coast(motion) if motion.step is None else motion.step
+        self.coasts, self.last_dt_s = motion.step is None, motion.dt_s
         if motion.turn_rad is not None:
             predicted = np.array([predicted[0], predicted[1], motion.turn_rad])
         likely = motion.step is not None and recovery.is_likely(
@@ -125,7 +81,7 @@ class Frontend:
         if match.inlier_ratio < config.frontend.min_inlier_ratio or surprise > SURPRISE_GATE:
             hopeless = match.inlier_ratio < LOST_SHARE * config.frontend.min_inlier_ratio
             beyond = coasted if hopeless or not likely else None
-            better = self._search(scan, cloud, guess, match, beyond, blind_s)
+            better = self._search(scan, cloud, guess, match, beyond, self._reach(motion, blind_s))
             if better is not None:
                 better_step = poses.between(self.local_T_body, better.ref_T_src)
                 surprise_there = self._surprise(predicted, better_step, motion)
@@ -139,12 +95,16 @@ class Frontend:
             self.wheels_trusted = False
         if (motion.step is None or jump) and motion.dt_s > 0.0 and config.deskew.mode != "none":
             # nobody told the motion within the scan: it is found with the match, and the scan matched again
-            twist, guess = self._motion_within(scan, match, step, motion, searched)
+            twist, guess = self._motion_within(scan, match, onward, step, motion, searched)
             cloud = deskew(scan, twist, config.deskew, config.icp.point_spacing_m)
             again = self._match(scan, cloud, guess, motion, free=searched)
             if again.inlier_ratio > match.inlier_ratio - 0.05:
                 match, step = again, poses.between(self.local_T_body, again.ref_T_src)
         self.local_T_body, self.last_step = match.ref_T_src, step
+        if self.coasts:
+            off = poses.log(poses.between(onward, step))
+            self.inertia.found(off, trust(match) * match.information)
+            self.last_step = poses.advance(np.zeros(3), self.inertia.step, 1.0)
         lost = match.inlier_ratio < LOST_SHARE * config.frontend.min_inlier_ratio
         self.blind_s = blind_s if lost and not likely else 0.0
         moved = poses.between(self.recent[-1].local_T_body, self.local_T_body)
@@ -153,12 +113,34 @@ class Frontend:
         ) >= self.spacing * config.frontend.keyframe_distance_m or abs(
             moved[2]
         ) >= self.spacing * math.radians(config.frontend.keyframe_angle_deg)
+        unseen = self.inertia.unseen(moved) if self.coasts else None
         if is_keyframe:
             self._add_keyframe(index, cloud)
-        return Step(self.local_T_body, match, is_keyframe, searched, jump, twist=twist)
+        return Step(self.local_T_body, match, is_keyframe, searched, jump, twist=twist, unseen=unseen)
+
+    def _coast(self, motion: PredictedMotion) -> FloatArray:
+        """The step (3,) by inertia."""
+        if not self.coasts:  # as the last wheels told
+            self.inertia.told(self.last_step, self.last_dt_s, MATCH_SIGMAS)
+            self.inertia.mark()
+        return self.inertia.go_on(motion.dt_s + motion.pause_s)
+
+    def _reach(self, motion: PredictedMotion, blind_s: float) -> tuple[float, float]:
+        """How far (m, rad) the robot can be from where it is expected."""
+        half_m, half_rad = recovery.reach(blind_s)
+        if motion.step is None:
+            x, y, theta = (recovery.REACH_SIGMAS * self.inertia.sigmas).tolist()
+            half_m, half_rad = max(half_m, x, y), max(half_rad, min(theta, math.pi))
+        return half_m, half_rad
 
     def _motion_within(
-        self, scan: Scan, match: Match, step: FloatArray, motion: PredictedMotion, searched: bool
+        self,
+        scan: Scan,
+        match: Match,
+        onward: FloatArray,
+        step: FloatArray,
+        motion: PredictedMotion,
+        searched: bool,
     ) -> tuple[FloatArray, FloatArray]:
         """Twist (3,) through a scan that no wheels tell of, and where the scan stands with it.
 
@@ -167,7 +149,8 @@ class Frontend:
         """
         config = self.config
         dt_s = max(motion.dt_s, 0.02)
-        twist = poses.log(step) / dt_s
+        off = poses.log(poses.between(onward, step))
+        twist = poses.log(step) / dt_s if motion.step is not None else self.inertia.twist_if(off)
         if not config.frontend.joint_twist or config.deskew.mode != "pose":
             return twist, match.ref_T_src
         assert self.reference is not None
@@ -188,7 +171,7 @@ class Frontend:
     def _surprise(self, predicted: FloatArray, step: FloatArray, motion: PredictedMotion) -> float:
         """How far a step lies from its prediction, in sigmas of the worst direction."""
         if motion.step is None:
-            sigmas = MATCH_SIGMAS + free_motion_sigmas(motion.dt_s)
+            sigmas = MATCH_SIGMAS + self.inertia.sigmas
         else:
             sigmas = MATCH_SIGMAS + 2.0 * motion.noise_scale * step_sigmas(predicted, self._step_noise)
         return float(poses.off_in_sigmas(predicted, step, sigmas))
@@ -199,13 +182,20 @@ class Frontend:
         """ICP from ``guess``; what the scan leaves open is held by the wheels' motion since the keyframe,
         or, without wheels, by inertia. ``free``: by hardly anything, for a guess that was searched."""
         assert self.reference is not None
+        prior = guess
         if free:
-            prior, sigmas = guess, SEARCHED_SIGMAS
+            sigmas = SEARCHED_SIGMAS
+        elif motion.step is None:
+            # a match counts every beam, of which only a share is independent
+            return icp.register(
+                self.reference, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m, self.config.icp,
+                prior_information=self.inertia.information / self.config.icp.independent_share,
+            )  # fmt: skip
         elif self.wheels_trusted:
             prior = poses.compose(self.recent[-1].local_T_body, self.wheels_since_keyframe)
             sigmas = motion.noise_scale * step_sigmas(self.wheels_since_keyframe, self._step_noise)
         else:
-            prior, sigmas = guess, free_motion_sigmas(motion.dt_s)
+            sigmas = free_motion_sigmas(motion.dt_s)
         return icp.register(
             self.reference, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m,
             self.config.icp, prior, sigmas,
@@ -218,23 +208,26 @@ class Frontend:
         guess: FloatArray,
         match: Match,
         coasted: FloatArray | None,
-        blind_s: float,
+        reach: tuple[float, float],
     ) -> Match | None:
-        """A clearly better fit than ``match`` near ``guess`` or where inertia leads (``coasted``, the step), by
-        correlative search over the recent map and ICP from there; None when there is none."""
+        """A clearly better fit than ``match`` near ``guess`` or, alone within ``reach``, where inertia leads (``coasted``, the
+        step), by correlative search over the recent map and ICP from there; None when there is none."""
         place = self._recent_map(guess)
         if place is None:
             return None
-        coasting = None if coasted is None else poses.compose(self.local_T_body, coasted)
-        for found, margin in recovery.likely_places(
-            place, cloud.points_m, guess, coasting, blind_s, self.config.frontend
-        ):
-            better = self._match(scan, cloud, found, NOTHING_KNOWN, free=True)
-            if better.inlier_ratio > match.inlier_ratio + margin:
+        near = recovery.place_near(place, cloud.points_m, guess, self.config.frontend)
+        if near is not None:
+            better = self._match(scan, cloud, near, NOTHING_KNOWN, free=True)
+            if better.inlier_ratio > match.inlier_ratio + recovery.NEAR_MARGIN:
                 return better
             if match.inlier_ratio >= self.config.frontend.min_inlier_ratio:
-                break
-        return None
+                return None
+        if coasted is None:
+            return None
+        return self._only_fit(
+            scan, cloud, poses.compose(self.local_T_body, coasted), reach,
+            match.inlier_ratio + recovery.FAR_MARGIN,
+        )  # fmt: skip
 
     def _recent_map(self, center: FloatArray) -> SearchMap | None:
         """The recent surface, ready to be searched; None where nothing was seen yet."""
@@ -255,7 +248,8 @@ class Frontend:
         """Place a scan before which nobody watched the robot for a while: where alone it looks like the
         recent map, or, without such a place, at the beginning of a new map that loops may join."""
         guess = poses.compose(self.local_T_body, predicted)
-        match = self._only_fit(scan, cloud, guess, blind_s)
+        reach, least = recovery.reach(blind_s), self.config.frontend.min_inlier_ratio
+        match = self._only_fit(scan, cloud, guess, reach, least)
         if match is None:
             self.local_T_body = guess
             self.recent.clear()
@@ -263,21 +257,26 @@ class Frontend:
         else:
             self.local_T_body = match.ref_T_src
         self.last_step, self.last_dt_s, self.blind_s = np.zeros(3), 0.0, 0.0
+        self.inertia.begin()
+        self.coasts = True
         self._add_keyframe(index, cloud)
         return Step(
             self.local_T_body, match, True, searched=True, odometry_jump=motion.step is not None,
             blind_s=blind_s, found=match is not None,
         )  # fmt: skip
 
-    def _only_fit(self, scan: Scan, cloud: DeskewedScan, guess: FloatArray, blind_s: float) -> Match | None:
-        """The fit of a scan within reach of ``guess``, if it is a good one and none elsewhere comes near it."""
-        place = self._recent_map(guess)
+    def _only_fit(
+        self, scan: Scan, cloud: DeskewedScan, center: FloatArray, reach: tuple[float, float], least: float
+    ) -> Match | None:
+        """The fit of a scan within ``reach`` of ``center``, if a share ``least`` of it fits, it tells where along every
+        direction, and none elsewhere comes near it."""
+        place = self._recent_map(center)
         if place is None:
             return None
-        found = recovery.places_within_reach(place, cloud.points_m, guess, blind_s, self.config.frontend)
+        found = recovery.places_within_reach(place, cloud.points_m, center, reach, self.config.frontend)
         fits = [self._match(scan, cloud, pose, NOTHING_KNOWN, free=True) for pose in found]
         fits.sort(key=lambda fit: -fit.inlier_ratio)
-        if not fits or fits[0].inlier_ratio < self.config.frontend.min_inlier_ratio:
+        if not fits or fits[0].inlier_ratio < least or is_open(fits[0]):
             return None
         for rival in fits[1:]:
             off = poses.between(fits[0].ref_T_src, rival.ref_T_src)
@@ -292,20 +291,13 @@ class Frontend:
         if len(self.recent) > self.config.frontend.local_keyframes:
             self.recent.popleft()
             self._recent_points.popleft()
+        self.inertia.mark()
         self.wheels_since_keyframe = np.zeros(3)
         self.wheels_trusted = True
         self.reference = merged_surface(self._recent_points)
         self.place = None
 
 
-def merged_surface(oriented: Sequence[FloatArray]) -> cells.CellTable:
-    """Search structure over the averaged surface of several scans, `placed` in one frame."""
-    raw = icp.reference_table(np.concatenate(oriented))
-    return icp.reference_table(cells.smooth_surface(raw, icp.CELL_M, SMOOTHING_M, SURFACE_SPACING_M))
-
-
-def placed(cloud: DeskewedScan, frame_T_body: FloatArray) -> FloatArray:
-    """Oriented points (M, 4) of a scan in another frame: x, y, nx, ny."""
-    oriented = np.empty((len(cloud.points_m), 4))
-    poses.transform_points(frame_T_body, cloud.points_m, cloud.normals, oriented)
-    return oriented
+def is_open(match: Match) -> bool:
+    """Whether a match leaves a direction of translation open."""
+    return bool(np.linalg.eigvalsh(match.information[:2, :2])[0] < OPEN_SIGMA_M**-2)

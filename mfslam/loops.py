@@ -15,12 +15,12 @@ import numpy as np
 
 from mfslam import icp
 from mfslam.config import Config
-from mfslam.frontend import Keyframe
 from mfslam.kernels import poses
 from mfslam.loop_records import Candidate, Fit, Loop, LoopStatistics, apart
 from mfslam.places import Place, PlaceMemory
 from mfslam.search import MAX_HYPOTHESES, hypotheses, search
 from mfslam.skeleton import Skeleton
+from mfslam.step_records import Keyframe
 from mfslam.types import FloatArray, IntArray, Match
 from mfslam.uncertainty import chi2_quantile
 
@@ -140,10 +140,12 @@ class LoopCloser:
         return last_m is not None and self.travel_m[-1] - last_m < self.config.segment_m / 2.0
 
     def _anchor(self, k: int) -> int:
-        """The keyframe in the middle of the half segment of keyframe k."""
+        """The keyframe in the middle of the half segment of keyframe k, or the last one before it where the path is torn."""
         half_m = self.config.segment_m / 2.0
-        middle_m = (self._stretch(k) + 0.5) * half_m
-        return min(bisect.bisect_left(self.travel_m, middle_m), len(self.travel_m) - 1)
+        middle = bisect.bisect_left(self.travel_m, (self._stretch(k) + 0.5) * half_m)
+        if middle == len(self.travel_m) or self._stretch(middle) > self._stretch(k):
+            middle -= 1
+        return middle
 
     def _stretch(self, k: int) -> int:
         """Number of the half segment of path that keyframe k lies on."""

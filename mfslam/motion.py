@@ -13,12 +13,12 @@ import numpy as np
 from mfslam import se2
 from mfslam.config import Config
 from mfslam.deskew import reference_offset_s
-from mfslam.frontend import PredictedMotion
 from mfslam.heading import HeadingTrack
 from mfslam.kernels import poses
 from mfslam.kinematics import WheelIntegrator
 from mfslam.odometry import OdometryTrack, begins_anew, is_jump
 from mfslam.stamps import ScanPace, StampClock, SteadyPace
+from mfslam.step_records import PredictedMotion
 from mfslam.types import (
     Edge,
     Findings,

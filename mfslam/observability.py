@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from mfslam import se2
 from mfslam.types import Edge, FloatArray, IntArray, OpenStretch
 
 OPEN_SIGMA_M = 0.1  # a match less sure than this along some direction leaves it open
 GAP_M = 1.0  # stretches of one direction nearer than this are one
+# a step less sure than this tears the path: what a scan fits there may be the next place that looks alike
+TORN_M, TORN_RAD = 0.5, 0.5
 SAME_DIRECTION_COS = 0.7  # of twice the angle: a stretch ends where its open direction turned by 23 deg
 
 
@@ -49,3 +52,36 @@ def open_stretches(world_T_keyframe: FloatArray, keyframes: IntArray, edges: lis
         )
         for run in runs
     ]
+
+
+def is_torn(covariance: FloatArray) -> bool:
+    """Whether a step of this covariance (3, 3) tears the path."""
+    largest_m2 = np.linalg.eigvalsh(covariance[:2, :2])[1]
+    return bool(largest_m2 > TORN_M**2 or covariance[2, 2] > TORN_RAD**2)
+
+
+def tears(edges: list[Edge]) -> dict[int, FloatArray]:
+    """Keyframes before which the path is torn, each with the covariance (3, 3) of the step to it: neither matches nor wheels
+    tell that step, and no loop in use ties both sides."""
+    known: dict[int, FloatArray] = {}
+    for edge in edges:
+        if edge.kind in ("scan", "odometry", "heading") and edge.j == edge.i + 1:
+            known[edge.j] = known.get(edge.j, 1e-6 * np.eye(3)) + edge.information
+    if not known:
+        return {}
+    ends = np.array(sorted(known))
+    covariances = np.linalg.inv(np.array([known[j] for j in ends.tolist()]))
+    torn = np.array([is_torn(covariance) for covariance in covariances])
+    for edge in edges:
+        if edge.kind == "loop" and edge.weight >= 0.5:
+            torn &= (ends <= min(edge.i, edge.j)) | (ends > max(edge.i, edge.j))
+    return {int(ends[n]): covariances[n] for n in np.flatnonzero(torn)}
+
+
+def torn_covariances(world_T_keyframe: FloatArray, edges: list[Edge]) -> FloatArray:
+    """(K, 3, 3) what the tears before each keyframe (K, 3) add to its covariance, in its tangent."""
+    out = np.zeros((len(world_T_keyframe), 3, 3))
+    for k, covariance in tears(edges).items():
+        carry = se2.adjoint(se2.between(world_T_keyframe[k:], world_T_keyframe[k : k + 1]))
+        out[k:] += carry @ covariance @ np.swapaxes(carry, 1, 2)
+    return out

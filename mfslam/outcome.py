@@ -15,7 +15,7 @@ from mfslam.config import Config
 from mfslam.mapping import render_map
 from mfslam.memory import give_memory_back
 from mfslam.metrics import compare_motions
-from mfslam.observability import open_stretches
+from mfslam.observability import open_stretches, tears
 from mfslam.output import json_text, summarise, write_atomically, write_run
 from mfslam.slam import Slam, Solution
 from mfslam.types import Findings, MfslamError, OpenStretch, RunResult
@@ -53,12 +53,13 @@ def outcome_of(
         )
     findings.merge(slam.findings)
     stretches = open_stretches(solution.world_T_body[solution.keyframes], solution.keyframes, solution.edges)
-    tell_open(stretches, solution, findings)
+    torn = told_tears(solution)
+    tell_open(stretches, torn, solution, findings)
     result = RunResult(
         solution.stamps_ns, solution.world_T_body, solution.keyframes, solution.edges, grid, points, findings,
         solution.covariances, stretches,
     )  # fmt: skip
-    result.summary = {"deskew": sharpness} | run_summary(
+    result.summary = {"deskew": sharpness, **({"tears": torn} if torn else {})} | run_summary(
         info, slam, solution, interrupted, time.process_time() - start_cpu_s
     )
     return Outcome(result, summarise(result), interrupted)
@@ -75,8 +76,32 @@ def compare_deskewing(slam: Slam, solution: Solution, config: Config) -> dict[st
     return compare_motions(slam.scans, solution.world_T_reference, motions, config)
 
 
-def tell_open(stretches: list[OpenStretch], solution: Solution, findings: Findings) -> None:
-    """A finding for the stretches that are longer than a keyframe step or two."""
+def told_tears(solution: Solution) -> list[dict[str, float]]:
+    """Where the path is torn: from and to which scan, and how unsure the way between is (one sigma)."""
+    stamps_s = solution.stamps_ns * 1e-9
+    return [
+        {
+            "from_stamp_s": float(stamps_s[solution.keyframes[k - 1]]),
+            "to_stamp_s": float(stamps_s[solution.keyframes[k]]),
+            "sigma_m": float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[1])),
+            "sigma_deg": float(np.degrees(np.sqrt(covariance[2, 2]))),
+        }
+        for k, covariance in tears(solution.edges).items()
+    ]
+
+
+def tell_open(
+    stretches: list[OpenStretch], torn: list[dict[str, float]], solution: Solution, findings: Findings
+) -> None:
+    """A finding for the stretches that are longer than a keyframe step or two, and one for tears."""
+    if torn:
+        findings.add(
+            "torn-path",
+            "neither scans nor wheels tell the way there, and no loop ties both sides: what comes after stands where inertia "
+            "led, and its covariance says how surely, see tears",
+            f"{torn[0]['to_stamp_s']:.6f} s",
+            len(torn),
+        )
     long = [stretch for stretch in stretches if stretch.travelled_m >= OPEN_TOLD_M]
     if long:
         metres = sum(stretch.travelled_m for stretch in long)

@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from mfslam import icp
-from mfslam.frontend import SMOOTHING_M, Keyframe, placed
 from mfslam.kernels import cells, evidence, poses
 from mfslam.kernels.cells import CellTable
 from mfslam.search import SearchMap
+from mfslam.step_records import Keyframe
+from mfslam.surfaces import SMOOTHING_M, placed
 from mfslam.types import FloatArray
 
 CELL_M = 0.1

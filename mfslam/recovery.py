@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -55,36 +54,25 @@ def is_likely(step: FloatArray, last_step: FloatArray, coasting: FloatArray, dt_
     return False
 
 
-def likely_places(
-    recent: SearchMap,
-    points_m: FloatArray,
-    guess: FloatArray,
-    coasting: FloatArray | None,
-    blind_s: float,
-    config: FrontendConfig,
-) -> Iterator[tuple[FloatArray, float]]:
-    """Poses (3,) near ``guess``, and then near where inertia leads, that look like the recent map, each with
-    the margin by which its fit has to be better than that of the guess.
-
-    ``coasting``: None where the wheels tell a motion that inertia allows: then nothing farther off is sought.
-    """
-    limit_m, limit_rad = config.search_window_m, math.radians(config.search_angle_deg)
-    windows = [(guess, NEAR_M, NEAR_RAD, NEAR_MARGIN)]
-    if coasting is not None:
-        windows.append((coasting, *reach(blind_s), FAR_MARGIN))
-    for center, half_m, half_rad, margin in windows:
-        window = (min(half_m, limit_m), min(half_rad, limit_rad))
-        found, score = search(recent, points_m, center, *window, MIN_SCORE)
-        if score > 0.0:
-            yield found, margin
+def place_near(
+    recent: SearchMap, points_m: FloatArray, guess: FloatArray, config: FrontendConfig
+) -> FloatArray | None:
+    """The pose (3,) within a slip of wheels of ``guess`` at which the points look most like the recent map."""
+    window = min(NEAR_M, config.search_window_m), min(NEAR_RAD, math.radians(config.search_angle_deg))
+    found, score = search(recent, points_m, guess, *window, MIN_SCORE)
+    return found if score > 0.0 else None
 
 
 def places_within_reach(
-    recent: SearchMap, points_m: FloatArray, center: FloatArray, blind_s: float, config: FrontendConfig
+    recent: SearchMap,
+    points_m: FloatArray,
+    center: FloatArray,
+    within: tuple[float, float],
+    config: FrontendConfig,
 ) -> list[FloatArray]:
-    """Poses (3,) within reach at which the points look like the recent map, the likeliest first; none where
-    it looks like that all over the place."""
-    half_m, half_rad = reach(blind_s)
+    """Poses (3,) ``within`` reach (m, rad) of a center at which the points look like the recent map, the likeliest first;
+    none where it looks like that all over the place."""
+    half_m, half_rad = within
     window = min(half_m, config.search_window_m), min(half_rad, math.radians(config.search_angle_deg))
     found = hypotheses(recent, points_m, center, *window, MIN_SCORE)
     return [pose for pose, _ in found] if len(found) <= MAX_HYPOTHESES else []

@@ -14,8 +14,10 @@ from mfslam import icp, se2
 from mfslam.adjustment import Adjusted, AdjustedInformation, Noise, ScanPoints, WheelTerms, adjust
 from mfslam.config import Config, IcpConfig
 from mfslam.deskew import deskew
-from mfslam.frontend import Keyframe, merged_surface, placed
+from mfslam.observability import is_torn
 from mfslam.scan_motion import ADJUSTED_SIGMAS, MATCHED_SIGMAS
+from mfslam.step_records import Keyframe
+from mfslam.surfaces import merged_surface, placed
 from mfslam.types import Edge, FloatArray, IntArray, Match, Scan
 from mfslam.wheel_errors import WheelErrors, WheelStep
 
@@ -27,6 +29,7 @@ ASKED = 1000  # keyframes at a time
 PLACED = 256  # keyframes whose points are remembered in the world: the way goes on beside those that were just asked for
 # of a step that wheels tell, or that nothing but inertia holds, where no wall does (1 m, 1 rad; 0.2 m, 0.2 rad)
 HARDLY_ANYTHING, INERTIA = np.eye(3), 25.0 * np.eye(3)
+MOST_UNSEEN = 25.0  # variance of a step that nothing but inertia tells, so that no chain breaks
 
 
 class Refinement:
@@ -74,6 +77,24 @@ class Refinement:
         return AdjustedInformation(self._adjusted.world_T_body, self._adjusted.solver, scale)
 
 
+def held_by_wheels(information: FloatArray, unseen: FloatArray | None) -> FloatArray:
+    """(3, 3) what a step between keyframes says that wheels tell: its match, of ``information`` (3, 3), and hardly anything."""
+    return information + HARDLY_ANYTHING
+
+
+def held_by_inertia(information: FloatArray, unseen: FloatArray | None) -> FloatArray:
+    """The same of a step that no wheels tell. ``unseen`` (3, 3): covariance of the way on which no scan told it; where that is
+    large, the match may have taken hold at the next place that looks alike."""
+    if unseen is None:
+        return information + INERTIA
+    values, vectors = np.linalg.eigh(unseen)
+    values = np.clip(values, 1.0 / INERTIA[0, 0], MOST_UNSEEN)
+    held: FloatArray = information + vectors / values @ vectors.T
+    if not is_torn(unseen):
+        return held
+    return np.asarray(np.linalg.inv(np.linalg.inv(held) + vectors * values @ vectors.T))
+
+
 def _tie(edge: Edge, told: bool) -> Edge:
     """An edge as the adjustment takes it: of a scan match only what it must say so that nothing falls apart."""
     if edge.kind == "heading":
@@ -81,7 +102,11 @@ def _tie(edge: Edge, told: bool) -> Edge:
     most = HARDLY_ANYTHING if told else INERTIA
     if np.all(np.linalg.eigvalsh(edge.information - most) > 0.0):
         return replace(edge, information=most)
-    return edge
+    values, vectors = np.linalg.eigh(edge.information)
+    values = np.clip(
+        values, HARDLY_ANYTHING[0, 0], most[0, 0]
+    )  # less, and the system is too ill for single precision
+    return replace(edge, information=vectors * values @ vectors.T)
 
 
 def localise_between(

@@ -14,16 +14,18 @@ from mfslam import refine, se2, trajectory
 from mfslam.adjustment import AdjustedInformation, ScanPoints
 from mfslam.config import Config
 from mfslam.deskew import acceleration_lever_s2, deskew, reference_offset_s
-from mfslam.frontend import Frontend, Keyframe, Step
+from mfslam.frontend import Frontend
 from mfslam.graph import PoseGraph, scan_covariances
 from mfslam.kernels import poses
 from mfslam.loops import LoopCloser
 from mfslam.memory import give_memory_back
 from mfslam.motion import MotionSources
+from mfslam.observability import torn_covariances
 from mfslam.ranges import with_true_ranges
-from mfslam.recovery import reach
-from mfslam.refine import HARDLY_ANYTHING, INERTIA
+from mfslam.recovery import REACH_SIGMAS, reach
+from mfslam.refine import INERTIA, held_by_inertia, held_by_wheels
 from mfslam.scan_motion import ADJUSTED_SIGMAS, LEAST_SIGMAS, MATCHED_SIGMAS, SmoothMotion, smooth
+from mfslam.step_records import GOOD_FIT, Keyframe, Step, trust
 from mfslam.types import (
     DeskewedScan,
     Edge,
@@ -36,7 +38,6 @@ from mfslam.types import (
 )
 from mfslam.wheel_errors import WheelErrors
 
-POOR_FIT, GOOD_FIT = 0.25, 0.65  # inlier ratios between which a match gains its full weight
 CPU_EVERY = 16  # keyframes: to ask for a process's CPU time costs up to 0.3 ms
 NO_POINTS = DeskewedScan(0, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
 
@@ -161,7 +162,11 @@ class Slam:
             edges = list(self._sequential_edges(previous, keyframe, step))
             self.graph.add_keyframe(prev_T_body, edges)
             torn = step.blind_s > 0.0
-            self.loops.skeleton.add_step(edges[:1] if torn else edges, self.graph.standing_poses(), torn)
+            likely = edges[:1] if torn else edges
+            if step.unseen is not None:
+                # where nothing is seen, loops are sought where the robot likely is: all that inertia allows looks alike
+                likely = [*edges, replace(edges[0], information=INERTIA)]
+            self.loops.skeleton.add_step(likely, self.graph.standing_poses(), torn)
         if self.loops.due():
             self._close_loops()
 
@@ -173,11 +178,11 @@ class Slam:
             yield from self._edges_over_gap(i, j, step)
             return
         assert step.match is not None
-        trust = min(max((step.match.inlier_ratio - POOR_FIT) / (GOOD_FIT - POOR_FIT), 0.02), 1.0) ** 2
         prev_T_body = poses.between(previous.local_T_body, keyframe.local_T_body)
         a, b = previous.scan_index, keyframe.scan_index
-        least = HARDLY_ANYTHING if self._motion.has_wheels(a, b) else INERTIA
-        yield Edge("scan", i, j, prev_T_body, trust * step.match.information + least)
+        information = trust(step.match) * step.match.information
+        held = held_by_wheels if self._motion.has_wheels(a, b) else held_by_inertia
+        yield Edge("scan", i, j, prev_T_body, held(information, step.unseen))
         sure = step.match.inlier_ratio > GOOD_FIT
         yield from self._motion.edges(i, j, a, b, prev_T_body, step.match.information, sure)
 
@@ -186,7 +191,8 @@ class Slam:
         refutable as a loop, where it was found again."""
         prev_T_body = poses.between(self.keyframes[i].local_T_body, self.keyframes[j].local_T_body)
         half_m, half_rad = reach(step.blind_s)
-        yield Edge("scan", i, j, prev_T_body, np.diag(np.array([half_m, half_m, half_rad]) ** -2.0))
+        sigmas = np.array([half_m, half_m, half_rad]) / REACH_SIGMAS
+        yield Edge("scan", i, j, prev_T_body, np.diag(sigmas**-2.0))
         if step.match is not None:
             yield Edge("loop", i, j, prev_T_body, step.match.information)
         what = "found again by its scan" if step.found else "a new map begins here, which only loops can join"
@@ -366,8 +372,11 @@ class Slam:
         world_T_body = se2.compose(world_T_reference, reference_T_stamp)
         if offsets.any():
             edges = edges_at_stamps(edges, reference_T_stamp[keyframes])
+        marginals = None
         if self.information is not None:
             self.information.take_smoothed(self._variances(motion, offsets)[keyframes])
+            # walls that fit on both sides of a tear may be others that look alike
+            marginals = self.information.marginals() + torn_covariances(world_T_body[keyframes], edges)
         return Solution(
             stamps_ns=np.array([s.stamp_ns for s in self.scans], dtype=np.int64),
             world_T_body=world_T_body,
@@ -375,9 +384,7 @@ class Slam:
             twists=motion.twists,
             keyframes=keyframes,
             edges=edges,
-            covariances=scan_covariances(
-                world_T_body, keyframes, edges, self.information.marginals() if self.information else None
-            ),
+            covariances=scan_covariances(world_T_body, keyframes, edges, marginals),
             smoothed_by=smoothed_by,
         )
 

@@ -29,7 +29,8 @@ from robustness_cases import Case, all_cases
 from drivers.simulator import LaserModel, Simulation, simulate, without_pose
 from mfslam import se2
 from mfslam.deskew import reference_offset_s
-from mfslam.metrics import ate, crispness, rpe
+from mfslam.metrics import ate, crispness, nees, rpe
+from mfslam.observability import tears
 from mfslam.output import write_atomically
 from mfslam.settings import load, preset_path
 from mfslam.slam import Slam, Solution
@@ -46,7 +47,8 @@ WRONG_LOOP_M, WRONG_LOOP_RAD = 0.5, 0.15
 @dataclass
 class Outcome:
     """One case, mapped and compared with the truth. ``blur``: occupied 5 cm cells over those that the true
-    trajectory would make. ``worst_step``: the largest error of one keyframe step of the front end."""
+    trajectory would make. ``worst_step``: the largest error of one keyframe step of the front end. ``nees``: of all poses by
+    the covariances stated, the first pose aligned; ``torn``: how often the path is said to be."""
 
     case: str
     reference: str | None
@@ -60,6 +62,8 @@ class Outcome:
     rpe_m: float = float("nan")
     rpe_deg: float = float("nan")
     blur: float = float("nan")
+    nees: float = float("nan")
+    torn: int = 0
     loops: int = 0
     wrong_loops: int = 0
     wrong_loops_kept: int = 0
@@ -104,6 +108,8 @@ def measure(
     told = slam.scans[0].laser
     hidden_s = reference_offset_s(told) - float(told.offsets_s[0] - laser.laser.offsets_s[0])
     true_keyframes = simulation.motion.at(simulation.instants_s + hidden_s)[solution.keyframes]
+    outcome.nees = nees(truth, estimate, solution.covariances).mean
+    outcome.torn = len(tears(solution.edges))
     outcome.blur = blur(slam, solution, true_keyframes)
     true_steps = se2.between(true_keyframes[:-1], true_keyframes[1:])
     local = np.array([k.local_T_body for k in slam.keyframes])
@@ -153,7 +159,7 @@ def verdict(outcome: Outcome) -> str:
 
 HEAD = [
     "case", "m", "ATE m", "ATE deg", "RPE m", "RPE deg", "x reference", "blur", "loops in use (wrong)", "wrong refused",
-    "worst step", "CPU s", "verdict",
+    "worst step", "NEES (tears)", "CPU s", "verdict",
 ]  # fmt: skip
 
 
@@ -171,7 +177,11 @@ def rows(outcomes: list[Outcome]) -> list[list[str]]:
                     f"{o.wrong_loops - o.wrong_loops_kept}",
                     f"{o.worst_step_m:.2f} m {o.worst_step_deg:.1f} deg",
                 ),
-                *(f"{o.cpu_s:.1f}", o.verdict),
+                *(
+                    f"{o.nees:.2g} ({o.torn})" if o.nees < 10 else f"{o.nees:,.0f} ({o.torn})",
+                    f"{o.cpu_s:.1f}",
+                ),
+                o.verdict,
             ]
         )
     return out

@@ -10,8 +10,9 @@ import pytest
 
 from mfslam import se2
 from mfslam.config import Config
-from mfslam.frontend import NOTHING_KNOWN, Frontend, PredictedMotion
+from mfslam.frontend import Frontend
 from mfslam.recovery import free_motion_sigmas
+from mfslam.step_records import NOTHING_KNOWN, PredictedMotion
 from tests.rooms import CORRIDOR, NO_PILLARS, ROOM, ROOM_PILLARS, laser, moving_scan
 
 DT_S = 0.1

@@ -11,9 +11,9 @@ import pytest
 from mfslam import se2
 from mfslam.config import Config, GraphConfig
 from mfslam.deskew import deskew
-from mfslam.frontend import Keyframe
 from mfslam.graph import PoseGraph
 from mfslam.loops import MOST_MISSES, Loop, LoopCloser
+from mfslam.step_records import Keyframe
 from mfslam.types import Edge, Match
 from mfslam.uncertainty import chi2_quantile
 from tests.rooms import NO_PILLARS, laser, moving_scan
@@ -198,3 +198,10 @@ def test_loops_agree_when_they_tell_one_story():
 @pytest.mark.parametrize(("probability", "quantile"), [(0.95, 7.815), (0.999, 16.266)])
 def test_chi2_of_three_degrees_of_freedom(probability, quantile):
     assert chi2_quantile(probability) == pytest.approx(quantile, abs=1e-3)
+
+
+def test_the_place_of_a_keyframe_lies_on_its_side_of_a_tear():
+    """The middle of a half segment that ends at a tear would be behind it."""
+    closer = LoopCloser(Config(), [])
+    closer.travel_m.extend([0.0, 1.0, 101.0, 102.0, 103.0])
+    assert [closer._anchor(k) for k in range(5)] == [1, 1, 2, 4, 4]

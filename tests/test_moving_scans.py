@@ -10,7 +10,8 @@ import pytest
 from mfslam import icp, se2
 from mfslam.config import Config, DeskewConfig, IcpConfig
 from mfslam.deskew import STILL, beam_times_s, deskew, reference_offset_s
-from mfslam.frontend import Frontend, PredictedMotion
+from mfslam.frontend import Frontend
+from mfslam.step_records import PredictedMotion
 from tests.rooms import CORRIDOR, NO_PILLARS, ROOM, ROOM_PILLARS, laser, moving_scan, oriented_points
 
 MODEL = laser(turn_s=0.1)

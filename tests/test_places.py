@@ -8,8 +8,8 @@ import pytest
 from mfslam import se2
 from mfslam.config import Config
 from mfslam.deskew import deskew
-from mfslam.frontend import Keyframe
 from mfslam.places import Place, PlaceMemory
+from mfslam.step_records import Keyframe
 from tests.rooms import ROOM, ROOM_PILLARS, laser, moving_scan
 
 STILL = np.zeros(3)

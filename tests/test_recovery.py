@@ -11,9 +11,10 @@ import pytest
 from drivers.simulator import Faults, RobotModel, laser_model, parse_world, simulate, without_pose
 from mfslam import recovery, se2
 from mfslam.config import Config
-from mfslam.frontend import Frontend, PredictedMotion
+from mfslam.frontend import Frontend
 from mfslam.metrics import ate
 from mfslam.slam import Slam
+from mfslam.step_records import PredictedMotion
 from tests.rooms import CORRIDOR, NO_PILLARS, ROOM, ROOM_PILLARS, laser, moving_scan
 
 MODEL = laser()

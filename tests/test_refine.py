@@ -9,7 +9,7 @@ from mfslam import refine, se2
 from mfslam.adjustment import ScanPoints
 from mfslam.config import Config
 from mfslam.deskew import deskew
-from mfslam.frontend import Keyframe
+from mfslam.step_records import Keyframe
 from mfslam.types import Edge
 from mfslam.wheel_errors import WheelErrors
 from tests.rooms import ROOM, ROOM_PILLARS, laser, moving_scan

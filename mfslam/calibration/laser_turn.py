@@ -15,8 +15,8 @@ import numpy as np
 from mfslam import icp, se2
 from mfslam.calibration.regression import regressed
 from mfslam.deskew import beam_times_s, deskew
-from mfslam.frontend import merged_surface, placed
 from mfslam.slam import Slam, Solution
+from mfslam.surfaces import merged_surface, placed
 from mfslam.types import FloatArray, IntArray, Laser
 
 LEAST_RAD_S, SLOW_SHARE = 0.4, 0.3  # a fast turn; of it, what a surface may be seen with

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mfslam.config import Config
-from mfslam.frontend import Frontend, Keyframe, Step
+from mfslam.frontend import Frontend
 from mfslam.kernels import poses
 from mfslam.motion import MotionSources
-from mfslam.slam import GOOD_FIT
+from mfslam.step_records import GOOD_FIT, Keyframe, Step
 from mfslam.types import Findings, FloatArray, Message, Scan
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from mfslam import se2
 from mfslam.deskew import STILL
-from mfslam.frontend import Frontend, PredictedMotion
+from mfslam.frontend import Frontend
+from mfslam.step_records import PredictedMotion
 from mfslam.types import FloatArray, Match, Scan
 from paper.beyond_conditions import RAMP_S, Condition
 from paper.beyond_figures import Staircase
@@ -27,9 +28,15 @@ class WatchedFrontend(Frontend):
     twists: list[FloatArray] = field(default_factory=list)
 
     def _motion_within(
-        self, scan: Scan, match: Match, step: FloatArray, motion: PredictedMotion, searched: bool
+        self,
+        scan: Scan,
+        match: Match,
+        onward: FloatArray,
+        step: FloatArray,
+        motion: PredictedMotion,
+        searched: bool,
     ) -> tuple[FloatArray, FloatArray]:
-        twist, guess = super()._motion_within(scan, match, step, motion, searched)
+        twist, guess = super()._motion_within(scan, match, onward, step, motion, searched)
         self.twists.append(twist)
         return twist, guess
 
