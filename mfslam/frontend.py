@@ -24,6 +24,7 @@ from mfslam.types import DeskewedScan, FloatArray, Match, Scan
 SURPRISE_GATE = 3.0  # sigmas
 MATCH_SIGMAS = np.array([0.01, 0.01, 0.005])  # of one match, beside those of the wheels (m, m, rad)
 SEARCHED_SIGMAS = np.array([0.3, 0.3, 0.2])  # a searched pose holds only what the scan leaves open
+GUESS_SIGMAS, FAR_M = 3.0, 5.0  # of what wheels predict, within which points this far off meet their partners
 SEARCHED_M = 15.0  # of the recent map, about the robot
 LOST_SHARE = 0.5  # of min_inlier_ratio: a scan that fits worse says nothing of where the robot is
 JUMP_POINTS = 30  # so many more points must fit where a scan is said to stand against its prediction
@@ -182,23 +183,26 @@ class Frontend:
         """ICP from ``guess``; what the scan leaves open is held by the wheels' motion since the keyframe,
         or, without wheels, by inertia. ``free``: by hardly anything, for a guess that was searched."""
         assert self.reference is not None
-        prior = guess
+        config, prior = self.config.icp, guess
+        radius_m = config.search_radius_m
         if free:
             sigmas = SEARCHED_SIGMAS
         elif motion.step is None:
             # a match counts every beam, of which only a share is independent
             return icp.register(
-                self.reference, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m, self.config.icp,
-                prior_information=self.inertia.information / self.config.icp.independent_share,
+                self.reference, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m, config,
+                prior_information=self.inertia.information / config.independent_share,
             )  # fmt: skip
         elif self.wheels_trusted:
             prior = poses.compose(self.recent[-1].local_T_body, self.wheels_since_keyframe)
             sigmas = motion.noise_scale * step_sigmas(self.wheels_since_keyframe, self._step_noise)
+            off_m, _, off_rad = (motion.noise_scale * step_sigmas(motion.step, self._step_noise)).tolist()
+            radius_m = min(radius_m, config.final_radius_m + GUESS_SIGMAS * (off_m + FAR_M * off_rad))
         else:
             sigmas = free_motion_sigmas(motion.dt_s)
         return icp.register(
             self.reference, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m,
-            self.config.icp, prior, sigmas,
+            config, prior, sigmas, radius_m,
         )  # fmt: skip
 
     def _search(
