@@ -214,7 +214,7 @@ def _call_surfaces() -> None:
     facings = np.empty(_SHAPE, np.int8)
     keys, sums, _ = surfels.add_hits(*_empty_table(), 0, starts, ends, kinds, 0.08, 0.02, 0.06, facings)
     surfels.patch_place(surfels.find_patch(keys, 0, 0, 0))
-    lines = surfels.fit_surfaces(keys, sums, 0.06, 0.02, 1)
+    lines = surfels.fit_surfaces(keys, sums, np.flatnonzero(keys != surfels.EMPTY), 0.06, 0.02, 1)
     surfels.adjust_ends(keys, lines, 0.06, 0.02, facings, starts, kinds, ends)
 
 

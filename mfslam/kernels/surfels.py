@@ -130,17 +130,19 @@ def _grown(keys: IntArray, sums: FloatArray) -> PatchTable:
 
 
 @kernel
-def fit_surfaces(keys: IntArray, sums: FloatArray, cell: float, sigma: float, rounds: int) -> FloatArray:
+def fit_surfaces(
+    keys: IntArray, sums: FloatArray, order: IntArray, cell: float, sigma: float, rounds: int
+) -> FloatArray:
     """The line of each patch (slots, 5): a point on it, x and y, the unit normal, and the hits that told it.
+
+    ``order``: the slots that hold one, neighbours near each other, so that what was looked up stays in the cache.
 
     Mean shift along the normal (Comaniciu and Meer 2002): each patch is carried, with its slope, to the mean of those
     that face the same way around it, weighted by their hits and by how near they are across it. Two surfaces
     a few sigmas apart stay two.
     """
     lines = np.zeros((keys.shape[0], 5))
-    for slot in range(keys.shape[0]):
-        if keys[slot] == EMPTY:
-            continue
+    for slot in order:
         x, y = sums[slot, 1] / sums[slot, 0], sums[slot, 2] / sums[slot, 0]
         norm = max(math.sqrt(sums[slot, 3] ** 2 + sums[slot, 4] ** 2), 1e-9)
         nx, ny = sums[slot, 3] / norm, sums[slot, 4] / norm

@@ -53,7 +53,11 @@ class Surface:
 
     def fit(self) -> None:
         """Average: each patch with those around it."""
-        self.lines = surfels.fit_surfaces(self.keys, self.sums, PATCH_M, self.sigma_m, _ROUNDS)
+        used = np.flatnonzero(self.keys != surfels.EMPTY)
+        column_by_column = used[np.argsort(self.keys[used])]
+        self.lines = surfels.fit_surfaces(
+            self.keys, self.sums, column_by_column, PATCH_M, self.sigma_m, _ROUNDS
+        )
 
     def adjust(self, group: int, beams: Beams) -> None:
         """Move the hits of the beams that were added as number ``group`` onto the surface, within their noise."""

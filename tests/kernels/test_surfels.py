@@ -27,7 +27,7 @@ def scan_walls(walls_of, n_scans=40, beams=181, sigma=SIGMA, seed=0, first_slots
         np.full(first_slots, EMPTY, np.int64), np.zeros((first_slots, 5)), 0, starts, ends, kinds,
         np.radians(120.0 / (beams - 1)), sigma, PATCH, facings,
     )  # fmt: skip
-    lines = fit_surfaces(keys, sums, PATCH, sigma, 3)
+    lines = fit_surfaces(keys, sums, np.flatnonzero(keys != EMPTY), PATCH, sigma, 3)
     adjust_ends(keys, lines, PATCH, sigma, facings, starts, kinds, ends)
     assert used == np.sum(keys != EMPTY) <= len(keys) / 2
     assert sums[:, 0].sum() == np.sum(facings >= 0)
@@ -73,7 +73,7 @@ def test_steps_of_several_sigmas_stay_steps():
     keys, sums, _ = add_hits(
         np.full(64, EMPTY, np.int64), np.zeros((64, 5)), 0, starts, ends, kinds, 0.01, 0.01, PATCH, facings
     )
-    lines = fit_surfaces(keys, sums, PATCH, 0.01, 3)
+    lines = fit_surfaces(keys, sums, np.flatnonzero(keys != EMPTY), PATCH, 0.01, 3)
     adjust_ends(keys, lines, PATCH, 0.01, facings, starts, kinds, ends)
     left, right = ends[ends[..., 0] < 0.35], ends[ends[..., 0] > 0.65]
     assert np.abs(np.mean(left[:, 1]) - 1.0) < 0.003 and np.abs(np.mean(right[:, 1]) - 1.08) < 0.003
