@@ -12,6 +12,8 @@ from mfslam.types import Float32Array, FloatArray, Scan
 
 def range_errors_m(sensor: SensorConfig, ranges_m: FloatArray | Float32Array) -> FloatArray:
     """By how much ranges (N,), as told, are too large: linear between the knots of the settings, as the last one beyond."""
+    if not sensor.range_error_m:
+        return np.zeros(len(ranges_m))
     knots_m = sensor.range_error_step_m * np.arange(len(sensor.range_error_m))
     return np.asarray(np.interp(ranges_m, knots_m, sensor.range_error_m))
 

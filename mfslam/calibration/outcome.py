@@ -150,9 +150,7 @@ class Calibration:
         estimates = [
             replace(e, before=was.before) for e, was in zip(self.estimates, first.estimates, strict=True)
         ]
-        ranges = self.range_errors
-        if ranges is not None and first.range_errors is not None:
-            ranges = ranges.since(first.range_errors)
+        ranges = self.range_errors and self.range_errors.since(first.config.sensor)
         return replace(self, estimates=estimates, start=first.start, config=first.config, range_errors=ranges)
 
     def extended(self, more: tuple[list[Estimate], FloatArray]) -> Calibration:

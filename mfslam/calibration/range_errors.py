@@ -15,6 +15,7 @@ import numpy as np
 
 from mfslam.adjustment import Noise, ScanPoints
 from mfslam.calibration.range_problem import ALIKE_M, RangeProblem, RangeState, scan_points
+from mfslam.config import SensorConfig
 from mfslam.deskew import deskew
 from mfslam.ranges import range_errors_m
 from mfslam.slam import Slam, Solution
@@ -56,10 +57,9 @@ class RangeErrors:
         low, high = self.values_m[sure].min(), self.values_m[sure].max()
         return f"{low:.3f} to {high:.3f} m between {sure[0] * self.step_m:g} and {sure[-1] * self.step_m:g} m"
 
-    def since(self, first: RangeErrors) -> RangeErrors:
-        """The same, seen from what the first pass assumed."""
-        at_m, knots_m = (each.step_m * np.arange(len(each.values_m)) for each in (self, first))
-        return replace(self, before_m=np.interp(at_m, knots_m, first.before_m))
+    def since(self, sensor: SensorConfig) -> RangeErrors:
+        """The same, seen from what the settings of the first pass assume."""
+        return replace(self, before_m=range_errors_m(sensor, self.step_m * np.arange(len(self.values_m))))
 
     def line(self) -> str:
         return f"{'range errors':14s} {self.words} +- {np.median(self.sigmas_m[self.sure]):.4f} m"
@@ -90,9 +90,8 @@ def find_range_errors(slam: Slam, solution: Solution) -> RangeErrors | None:
     sigmas_m = np.sqrt(variances)
     if not np.any(sigmas_m < SURE_M):
         return None
-    sensor, knots_m = slam.config.sensor, whole.knots_m
-    before_m = range_errors_m(sensor, knots_m) if sensor.range_error_m else np.zeros(len(knots_m))
-    return RangeErrors(float(knots_m[1]), before_m, before_m + state.errors_m, sigmas_m)
+    before_m = range_errors_m(slam.config.sensor, whole.knots_m)
+    return RangeErrors(float(whole.knots_m[1]), before_m, before_m + state.errors_m, sigmas_m)
 
 
 def _problem(

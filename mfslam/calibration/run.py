@@ -97,8 +97,9 @@ def calibrate(slam: Slam, solution: Solution) -> Calibration | None:
     gyro = fit_gyro(record, float(solved.values[-2]) if clock else 0.0)
     turn = None if slam.motion.comes_with_scans else find_turn(slam, solution)
     found = found.extended(gyro_estimates(gyro, config)).extended(turn_estimates(turn, config))
-    ranges = None if slam.motion.comes_with_scans else find_range_errors(slam, solution)
-    return replace(found, range_errors=ranges)
+    if slam.motion.comes_with_scans or any(e.name == "turn_period" for e in found.significant):
+        return found  # scans that a wrong turn has bent would tell wrong ranges
+    return replace(found, range_errors=find_range_errors(slam, solution))
 
 
 def calibrate_ranges(slam: Slam, solution: Solution) -> Calibration | None:

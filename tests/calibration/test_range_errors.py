@@ -9,7 +9,7 @@ import pytest
 
 from drivers.simulator import RobotModel, laser_model, load_world, simulate
 from mfslam.calibration.range_errors import RangeErrors, find_range_errors, merged
-from mfslam.config import Config
+from mfslam.config import Config, SensorConfig
 from mfslam.settings import load, preset_path
 from mfslam.slam import Slam, Solution
 from mfslam.types import FloatArray, Message, Scan
@@ -71,6 +71,13 @@ def test_errors_count_where_they_are_sure_and_large() -> None:
 def test_what_is_wrong_at_one_range_alone_is_no_error_of_the_range() -> None:
     assert not errors([0.0, 0.03, 0.0, 0.03], 0.002).significant
     assert not errors([0.0, 0.03, -0.03, 0.0], 0.002).significant
+
+
+def test_what_a_later_pass_finds_is_seen_from_what_the_first_one_assumed() -> None:
+    later = replace(errors([0.0, 0.02, 0.02], 0.002), before_m=np.array([0.0, 0.02, 0.02]))
+    assert not later.significant
+    assert later.since(SensorConfig()).significant
+    assert not later.since(SensorConfig(range_error_m=(0.0, 0.02), range_error_step_m=0.5)).significant
 
 
 def test_logs_of_one_laser_are_merged_by_their_information() -> None:
