@@ -8,6 +8,7 @@ from mfslam.config import Config
 from mfslam.frontend import Frontend
 from mfslam.kernels import poses
 from mfslam.motion import MotionSources
+from mfslam.ranges import with_true_ranges
 from mfslam.step_records import GOOD_FIT, Keyframe, Step
 from mfslam.types import Findings, FloatArray, Message, Scan
 
@@ -32,6 +33,7 @@ class Tracker:
     def __init__(self, config: Config) -> None:
         self.findings = Findings()
         self.frontend = Frontend(config)
+        self._sensor = config.sensor
         self._motion = MotionSources(config, self.findings)
         self._before: tuple[int, Keyframe] | None = None  # the latest keyframe, and its number among all
         self.keyframes = self._placed = 0
@@ -43,6 +45,7 @@ class Tracker:
     def place(self, number: int, scan: Scan) -> Tracked:
         """Place a scan; ``number``: of all that came, those that were not placed included."""
         index, self._placed = self._placed, self._placed + 1  # as `MotionSources` counts
+        scan = with_true_ranges(scan, self._sensor)
         self._motion.add(scan)
         motion = self._motion.predict(scan, self.frontend.local_T_body, self.frontend.last_step)
         step = self.frontend.process(index, scan, motion)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -17,6 +18,7 @@ from mfslam.live import pressure
 from mfslam.live.engine import LiveSlam
 from mfslam.live.journal import Journal
 from mfslam.live.pressure import MOST, Pressure
+from mfslam.live.tracking import Tracker
 from mfslam.metrics import ate
 from mfslam.slam import Slam
 from mfslam.types import Findings, MfslamError, Scan
@@ -195,3 +197,13 @@ def test_standing_still_costs_no_memory_of_ranges(log):
     assert len(mapper.slam.scans) == 59  # every one of them has a pose
     blanks = {id(s.ranges_m) for s in mapper.slam.scans if not np.isfinite(s.ranges_m).any()}
     assert len(blanks) == 1
+
+
+def test_errors_of_ranges_are_taken_off_before_a_scan_is_placed():
+    told = next(message for message in drive().messages if isinstance(message, Scan))
+    wrong = replace(told, ranges_m=told.ranges_m + np.float32(0.05))
+    config = Config()
+    sensor = config.sensor.model_copy(update={"range_error_m": (0.05,)})
+    knowing = Tracker(config.model_copy(update={"sensor": sensor}))
+    right = Tracker(config).place(0, told), knowing.place(0, wrong)
+    np.testing.assert_allclose(right[0].scan.ranges_m, right[1].scan.ranges_m, atol=1e-6)
