@@ -181,7 +181,9 @@ def test_ramps_reach_their_rate_in_half_a_second_both_ways() -> None:
 def test_joint_twist_follows_a_ramp_that_a_constant_twist_lags_behind() -> None:
     watched = beyond_ramps.trace(RAMP)
     assert watched.rms_rad_s(JOINT) < 0.1 < 0.15 < watched.rms_rad_s(CONSTANT)
-    assert watched.scan_error_m[JOINT.name] < 0.65 * watched.scan_error_m[CONSTANT.name]  # which inertia helps
+    assert (
+        watched.scan_error_m[JOINT.name] < 0.65 * watched.scan_error_m[CONSTANT.name]
+    )  # which inertia helps
     first = np.flatnonzero(np.abs(watched.mean_rad_s) > 0.1)[0]  # the step before told of a robot at rest
     assert watched.found_rad_s[CONSTANT.name][first] < watched.mean_rad_s[first]
 
