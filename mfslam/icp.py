@@ -38,25 +38,20 @@ def register(
     """Where the source stands in the reference.
 
     ``points_m``, ``normals`` (M, 2): the source. ``guess`` (3,): ref_T_src to start from. A ``prior`` (3,; else the guess)
-    with ``prior_sigmas`` (3,) in its tangent (or ``prior_information`` (3, 3)) keeps directions in place that the scans do not constrain; it moves the
-    estimate but is not part of the information returned. The information is that of the point-to-line
+    with ``prior_sigmas`` (3,) in its tangent, or ``prior_information`` (3, 3), keeps directions in place that the scans
+    do not constrain; it moves the estimate but is not part of the information returned. The information is that of the point-to-line
     residuals at the solution whatever the method: points that slide along a wall say nothing of it.
     """
     sigma = math.sqrt(2.0) * range_sigma_m  # both ends of a residual are measured
     held = guess if prior is None else prior
     radius_m = config.search_radius_m if search_radius_m is None else search_radius_m
     honest = config.independent_share, config.sigma_floor_m, config.sigma_floor_rad
-    if config.method == "point_to_line" and prior_information is not None:
-        pose, hessian, inlier_ratio, rms_m, iterations, converged = align.point_to_line(
-            reference, CELL_M, points_m, normals, guess, held, prior_information, sigma, config.kernel_sigmas, radius_m,
-            config.final_radius_m, config.max_iterations, config.open_share,
-        )  # fmt: skip
-        information = align.honest_information(hessian, sigma, rms_m, *honest)
-        return Match(pose, information, inlier_ratio, rms_m, iterations, converged)
+    if prior_information is None:
+        prior_information = matrices.of_sigmas(prior_sigmas)
     if config.method == "point_to_line":
         return Match(
             *align.point_to_line_match(
-                reference, CELL_M, points_m, normals, guess, held, prior_sigmas, sigma, config.kernel_sigmas, radius_m,
+                reference, CELL_M, points_m, normals, guess, held, prior_information, sigma, config.kernel_sigmas, radius_m,
                 config.final_radius_m, config.max_iterations, config.open_share, *honest,
             )
         )  # fmt: skip
@@ -64,9 +59,7 @@ def register(
         reference, points_m, normals, guess, sigma, radius_m, config
     )
     information = align.honest_information(hessian, sigma, rms_m, *honest)
-    if prior_information is None and np.isfinite(prior_sigmas).all():
-        prior_information = np.diag(prior_sigmas**-2.0)
-    if prior_information is not None:
+    if prior_information.any():
         pose = _merged(pose, information, held, prior_information)
     return Match(pose, information, inlier_ratio, rms_m, iterations, converged)
 

@@ -11,9 +11,8 @@ from mfslam.kernels import poses
 from mfslam.search import MAX_HYPOTHESES, SearchMap, hypotheses, search
 from mfslam.types import FloatArray
 
-MAX_ACCELERATION = np.array(
-    [2.0, 0.5, 4.0]
-)  # of a robot whose wheels are not known: ahead, sideways, turning (m/s^2, rad/s^2)
+# of a robot whose wheels are not known: ahead, sideways, turning (m/s^2, rad/s^2)
+MAX_ACCELERATION = np.array([2.0, 0.5, 4.0])
 REACH_SIGMAS = 3.0
 LEAST_S = 0.3  # scans come in bursts and stamps lie: no time between two is held to be shorter
 LEAST_PERIOD_S = 0.05  # nor a laser to be faster

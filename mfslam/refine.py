@@ -77,14 +77,10 @@ class Refinement:
         return AdjustedInformation(self._adjusted.world_T_body, self._adjusted.solver, scale)
 
 
-def held_by_wheels(information: FloatArray, unseen: FloatArray | None) -> FloatArray:
-    """(3, 3) what a step between keyframes says that wheels tell: its match, of ``information`` (3, 3), and hardly anything."""
-    return information + HARDLY_ANYTHING
-
-
 def held_by_inertia(information: FloatArray, unseen: FloatArray | None) -> FloatArray:
-    """The same of a step that no wheels tell. ``unseen`` (3, 3): covariance of the way on which no scan told it; where that is
-    large, the match may have taken hold at the next place that looks alike."""
+    """(3, 3) what a step between keyframes says that no wheels tell: its match, of ``information`` (3, 3), and inertia. ``unseen``
+    (3, 3): covariance of the way on which no scan told it; where that is large, the match may have taken hold at the next
+    place that looks alike."""
     if unseen is None:
         return information + INERTIA
     values, vectors = np.linalg.eigh(unseen)
@@ -103,9 +99,8 @@ def _tie(edge: Edge, told: bool) -> Edge:
     if np.all(np.linalg.eigvalsh(edge.information - most) > 0.0):
         return replace(edge, information=most)
     values, vectors = np.linalg.eigh(edge.information)
-    values = np.clip(
-        values, HARDLY_ANYTHING[0, 0], most[0, 0]
-    )  # less, and the system is too ill for single precision
+    # less than hardly anything, and the system is too ill for single precision
+    values = np.clip(values, HARDLY_ANYTHING[0, 0], most[0, 0])
     return replace(edge, information=vectors * values @ vectors.T)
 
 

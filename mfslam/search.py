@@ -31,9 +31,8 @@ class SearchMap:
         if not len(points_m):
             return cls(center_m, cell_m, np.zeros((5, 1, 1), np.uint8))
         off_m = np.abs(points_m - center_m)
-        near = (off_m[:, 0] < reach_m) & (
-            off_m[:, 1] < reach_m
-        )  # max(axis=1) of rows of two takes ten times as long
+        # max(axis=1) of rows of two takes ten times as long
+        near = (off_m[:, 0] < reach_m) & (off_m[:, 1] < reach_m)
         points = points_m[near] if near.any() else points_m[:1]
         margin = 3.0 * cell_m
         low, high = points.min(axis=0) - margin, points.max(axis=0) + margin

@@ -23,7 +23,7 @@ from mfslam.motion import MotionSources
 from mfslam.observability import torn_covariances
 from mfslam.ranges import with_true_ranges
 from mfslam.recovery import REACH_SIGMAS, reach
-from mfslam.refine import INERTIA, held_by_inertia, held_by_wheels
+from mfslam.refine import HARDLY_ANYTHING, INERTIA, held_by_inertia
 from mfslam.scan_motion import ADJUSTED_SIGMAS, LEAST_SIGMAS, MATCHED_SIGMAS, SmoothMotion, smooth
 from mfslam.step_records import GOOD_FIT, Keyframe, Step, trust
 from mfslam.types import (
@@ -181,8 +181,11 @@ class Slam:
         prev_T_body = poses.between(previous.local_T_body, keyframe.local_T_body)
         a, b = previous.scan_index, keyframe.scan_index
         information = trust(step.match) * step.match.information
-        held = held_by_wheels if self._motion.has_wheels(a, b) else held_by_inertia
-        yield Edge("scan", i, j, prev_T_body, held(information, step.unseen))
+        if self._motion.has_wheels(a, b):
+            held = information + HARDLY_ANYTHING
+        else:
+            held = held_by_inertia(information, step.unseen)
+        yield Edge("scan", i, j, prev_T_body, held)
         sure = step.match.inlier_ratio > GOOD_FIT
         yield from self._motion.edges(i, j, a, b, prev_T_body, step.match.information, sure)
 

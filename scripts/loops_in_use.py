@@ -16,15 +16,13 @@ from pathlib import Path
 
 import numpy as np
 from benchmarking.page import as_markdown, replace_section
-from benchmarking.runs import log_name, relations_beside
+from benchmarking.runs import log_name, mapped_by_default, relations_beside
 from robustness import table_text
 
-from drivers.logs import default_presets, open_log
 from mfslam import se2
 from mfslam.metrics import Relations, read_relations
 from mfslam.output.summary import loops_in_use, travelled_m
-from mfslam.settings import load, preset_path
-from mfslam.slam import Slam, Solution
+from mfslam.slam import Solution
 from mfslam.types import Edge, FloatArray, IntArray, MfslamError
 
 HEAD = ["log", "m", "loops in use", "satisfied", "refused by the last solve", "taken out while mapping",
@@ -33,12 +31,7 @@ NEAR_M = 6.0  # of trajectory between a loop and the relation that it is held ag
 
 
 def row_of(path: Path) -> list[str]:
-    config = load([preset_path(preset) for preset in default_presets(str(path))])
-    slam = Slam(config)
-    with open_log(str(path), config) as log:
-        for message in log:
-            slam.feed(message)
-    solution = slam.finish()
+    slam, solution = mapped_by_default(path)
     told = loops_in_use(solution.world_T_body[solution.keyframes], solution.edges)
     share = told["in_use_satisfied_percent"]
     row = [

@@ -16,14 +16,12 @@ from mfslam.adjustment.equations import Equations, Solver
 from mfslam.adjustment.noise import noise_found
 from mfslam.adjustment.wall_equations import equations_of, find_patches
 from mfslam.adjustment.wheels import between_jacobians
+from mfslam.kernels.wall_patches import LIMIT_SIGMAS
 from mfslam.types import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
 
 PRIOR_M, ALIKE_M = 0.03, 0.5  # of an error, one sigma; errors of ranges nearer than this are alike
 UNLIKE_SHARE = 1e-4  # of the prior's variance, each knot for itself: so that it has an inverse
 KERNEL_SIGMAS = 3.0  # of the Geman-McClure kernel on points
-LIMIT_SIGMAS = (
-    5.0  # a wall nearer than this to the limit of a range tells nothing: see `wall_patches.group_sums`
-)
 SOLVED = 1e-3
 TIES = np.eye(3)  # 1 m, 1 rad between successive poses: only so that nothing falls apart
 

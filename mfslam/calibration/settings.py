@@ -9,7 +9,8 @@ from mfslam.config import Config
 if TYPE_CHECKING:
     from mfslam.calibration.outcome import Calibration
 
-Settings = dict[str, dict[str, float | bool | tuple[float, ...]]]
+Values = dict[str, float | bool | tuple[float, ...]]
+Settings = dict[str, Values]
 KEYS = {
     "radius_left": ("wheels", "radius_left_m"),
     "radius_right": ("wheels", "radius_right_m"),
@@ -38,7 +39,7 @@ def settings_of(calibration: Calibration) -> Settings:
     for name, value in told.items():
         stage, key = KEYS[name]
         out.setdefault(stage, {})[key] = value
-    sensor = out.setdefault("sensor", {})
+    sensor: Values = {}
     ranges = calibration.range_errors
     if ranges is not None and ranges.significant:
         sensor["range_error_m"] = tuple(round(float(error_m), 4) for error_m in ranges.values_m)
@@ -49,6 +50,8 @@ def settings_of(calibration: Calibration) -> Settings:
     if "delay" in told:  # that at the start of the log
         drift = told.get("clock_drift", calibration.config.sensor.clock_drift)
         sensor["transport_delay_s"] = round(told["delay"] + drift * calibration.middle_s, 6)
+    if sensor:
+        out.setdefault("sensor", {}).update(sensor)
     if calibration.start.words:
         out.setdefault("wheels", {}).update(_sides(calibration))
     return out
@@ -72,7 +75,7 @@ def yaml_of(calibration: Calibration, logs: str) -> str:
     out = [f"# By `mfslam calibrate {logs}`: one sigma and what was assumed before stand beside each value."]
     names = {key: name for name, (_, key) in KEYS.items()}
     settings = settings_of(calibration)
-    for stage, values in filter(lambda item: item[1], settings.items()):
+    for stage, values in settings.items():
         out.append(f"{stage}:")
         for key, value in values.items():
             text = _as_text(value)

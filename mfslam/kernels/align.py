@@ -236,7 +236,7 @@ def point_to_line_match(
     normals: FloatArray,
     guess: FloatArray,
     prior: FloatArray,
-    prior_sigmas: FloatArray,
+    prior_information: FloatArray,
     sigma: float,
     kernel_sigmas: float,
     radius_start: float,
@@ -247,12 +247,9 @@ def point_to_line_match(
     floor_m: float,
     floor_rad: float,
 ) -> tuple[FloatArray, FloatArray, float, float, int, bool]:
-    """`point_to_line` with a prior of ``prior_sigmas`` (3,), and with the `honest_information` of what it found."""
-    held = np.zeros((3, 3))
-    for d in range(3):
-        held[d, d] = prior_sigmas[d] ** -2
+    """`point_to_line`, with the `honest_information` of what it found."""
     pose, hessian, inlier_ratio, rms_m, iterations, converged = point_to_line(
-        table, cell, points, normals, guess, prior, held, sigma, kernel_sigmas, radius_start, radius_end,
+        table, cell, points, normals, guess, prior, prior_information, sigma, kernel_sigmas, radius_start, radius_end,
         max_iterations, open_share,
     )  # fmt: skip
     information = honest_information(hessian, sigma, rms_m, independent_share, floor_m, floor_rad)

@@ -39,6 +39,15 @@ def add_error(information: FloatArray, var_xy: float, var_turn: float) -> FloatA
 
 
 @kernel
+def of_sigmas(sigmas: FloatArray) -> FloatArray:
+    """Information (3, 3) of independent errors with ``sigmas`` (3,): none where one is infinite."""
+    information = np.zeros((3, 3))
+    for d in range(3):
+        information[d, d] = sigmas[d] ** -2
+    return information
+
+
+@kernel
 def upper_root(information: FloatArray, absolute_floor: float, relative_floor: float) -> FloatArray:
     """Upper triangular R with R^T R = H + e I, by Cholesky; e the larger of both floors (the relative one
     times the trace of H). Not a number where H is not finite or not positive semidefinite."""

@@ -80,8 +80,9 @@ def _call_registration() -> None:
     points, normals = _seen()
     table, pose = cells.build_cells(np.hstack([points, normals]), 0.25), np.zeros(3)
     align.point_to_line(table, 0.25, points, normals, pose, pose, np.eye(3), 0.02, 3.0, 0.5, 0.1, 3, 0.01)
+    held = matrices.of_sigmas(np.ones(3))
     align.point_to_line_match(
-        table, 0.25, points, normals, pose, pose, np.ones(3), 0.02, 3.0, 0.5, 0.1, 3, 0.01, 0.1, 0.01, 0.01
+        table, 0.25, points, normals, pose, pose, held, 0.02, 3.0, 0.5, 0.1, 3, 0.01, 0.1, 0.01, 0.01
     )
     align.honest_information(np.eye(3), 0.02, 0.02, 0.1, 0.01, 0.01)
     align.point_to_point(table, table, 0.25, pose, 0.5, 0.1, 3, True)

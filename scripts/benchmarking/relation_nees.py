@@ -15,21 +15,16 @@ from pathlib import Path
 import numpy as np
 from scipy.special import chdtri
 
-from benchmarking.runs import log_name, relations_beside
-from drivers.logs import default_presets, open_log
+from benchmarking.runs import log_name, mapped_by_default, relations_beside
 from mfslam import se2
 from mfslam.metrics import read_relations, relation_errors
 from mfslam.metrics.matching import nearest
-from mfslam.settings import load, preset_path
-from mfslam.slam import Slam
 from mfslam.types import FloatArray
 
 HEAD = ["log", "relations", "stated, surer half", "stated, other half", "relations' own noise", "NEES, surer half",
         "NEES, other half", "median, surer half", "median, other half"]  # fmt: skip
-SWEPT_M, TURN_PER_M = (
-    (0.0, 0.01, 0.02, 0.03),
-    np.radians(20.0),
-)  # noise of relations, as assumed, and of their turns
+SWEPT_M = (0.0, 0.01, 0.02, 0.03)  # noise of relations, as assumed
+TURN_PER_M = np.radians(20.0)  # of their turns
 BLOCKS = 20  # of relations one after the other, whose errors are alike
 LARGEST_NOISE_M, LARGEST_NOISE_RAD = 0.5, 0.5
 
@@ -54,12 +49,7 @@ class Held:
 
 def held_against_relations(path: Path) -> Held:
     """Maps a log by default settings."""
-    config = load([preset_path(preset) for preset in default_presets(str(path))])
-    slam = Slam(config)
-    with open_log(str(path), config) as log:
-        for message in log:
-            slam.feed(message)
-    solution = slam.finish()
+    slam, solution = mapped_by_default(path)
     relations = read_relations(relations_beside(path))
     poses = solution.world_T_body
     errors, matched = relation_errors(solution.stamps_ns, poses, relations)

@@ -11,8 +11,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from drivers.logs import default_presets, open_log
 from mfslam.metrics import read_relations, relations_error
 from mfslam.output import read_tum
+from mfslam.settings import load, preset_path
+from mfslam.slam import Slam, Solution
 from mfslam.types import MfslamError
 
 SUFFIXES = (".clf", ".log", ".dat", ".bag", ".mcap", ".db3")
@@ -66,6 +69,16 @@ def log_name(path: Path) -> str:
 
 def relations_beside(path: Path) -> Path:
     return path.with_name(f"{log_name(path)}.relations")
+
+
+def mapped_by_default(path: Path) -> tuple[Slam, Solution]:
+    """A log through the engine in this process, by the presets that fit it."""
+    config = load([preset_path(preset) for preset in default_presets(str(path))])
+    slam = Slam(config)
+    with open_log(str(path), config) as log:
+        for message in log:
+            slam.feed(message)
+    return slam, slam.finish()
 
 
 def run_map(path: Path, variant: str, settings: list[str], out: Path) -> Outcome:
