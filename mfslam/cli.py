@@ -15,7 +15,6 @@ from pathlib import Path
 
 from mfslam import __version__
 from mfslam.arguments import mapping, online, results, simulation
-from mfslam.types import MfslamError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -26,6 +25,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help(sys.stderr)
         return 2
     args.start_cpu_s = time.process_time()
+    # before numpy is loaded: our matrices are small, and threads of its algebra that wait for work take a twentieth of a run
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from mfslam.types import MfslamError
+
     try:
         with _no_cycles_sought():
             check_neighbours()
@@ -89,6 +92,8 @@ def build_parser() -> argparse.ArgumentParser:
 def check_neighbours() -> None:
     """The top-level packages `drivers` and `factors` must be ours: another installed package of that name
     would take their place in silence. Raises MfslamError."""
+    from mfslam.types import MfslamError
+
     home = Path(__file__).resolve().parent.parent
     for name in ("drivers", "factors"):
         spec = find_spec(name)
