@@ -44,7 +44,9 @@ def test_help_answers_without_what_takes_long_to_load() -> None:
 
 
 def test_without_a_command_the_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([]) == 2
+    with pytest.raises(SystemExit) as left:
+        main([])
+    assert left.value.code == 2
     assert "map a log: trajectory, factor graph" in capsys.readouterr().err
 
 
