@@ -288,6 +288,13 @@ class LoopsConfig(_Stage):
     wide_window_m: float = Field(1.5, gt=0, description="In wider windows several loops must agree, m.")
     wide_inlier_ratio: float = Field(0.5, gt=0, lt=1, description="min_inlier_ratio in wide windows.")
     wide_agreement: float = Field(0.9, gt=0, lt=1, description="min_agreement in wide windows.")
+    torn_agreement: float = Field(
+        0.98,
+        gt=0,
+        lt=1,
+        description="wide_agreement over a tear of the path: the robot may as well be where it never was, in a place that "
+        "looks alike.",
+    )
     wide_every_m: float = Field(
         2.0, gt=0, description="A search in wide windows at most every so far driven, m."
     )

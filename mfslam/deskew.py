@@ -45,16 +45,21 @@ def deskew(scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: 
     laser = scan.laser
     times_s = beam_times_s(laser)
     ranges_m = scan.ranges_m
-    twist = body_twist if config.mode == "pose" else STILL
+    twist = twist_through(body_twist, config)
     if config.mode == "range":
         # eqs. 19-24: e_d = v (t_j - t_ref), one number along the beam whatever its bearing
         ranges_m = (ranges_m + body_twist[0] * times_s).astype(np.float32)
     points, normals, beams = kernels.oriented_points(
-        ranges_m, _directions(laser), times_s, laser.body_T_laser, twist, laser.range_min_m, laser.range_max_m,
+        ranges_m, beam_directions(laser), times_s, laser.body_T_laser, twist, laser.range_min_m, laser.range_max_m,
         beam_step_rad(laser), laser.range_sigma_m, spacing_m,
     )  # fmt: skip
     reference_ns = scan.stamp_ns + round(reference_offset_s(laser) * 1e9)
     return DeskewedScan(reference_ns, points, normals, beams)
+
+
+def twist_through(body_twist: FloatArray, config: DeskewConfig) -> FloatArray:
+    """The motion that a scan's points are carried by."""
+    return body_twist if config.mode == "pose" else STILL
 
 
 @lru_cache(maxsize=64)
@@ -64,7 +69,7 @@ def beam_step_rad(laser: Laser) -> float:
 
 
 @lru_cache(maxsize=64)
-def _directions(laser: Laser) -> FloatArray:
+def beam_directions(laser: Laser) -> FloatArray:
     """(N, 2) unit vectors along the beams, in the axes of the body."""
     bearings_rad = laser.angles_rad + laser.body_T_laser[2]
     return np.stack([np.cos(bearings_rad), np.sin(bearings_rad)], axis=1)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mfslam import icp, recovery
+from mfslam import ends, icp, recovery
 from mfslam.config import Config
 from mfslam.deskew import beam_times_s, deskew
 from mfslam.inertia import Inertia
-from mfslam.kernels import cells, poses
-from mfslam.observability import OPEN_SIGMA_M
+from mfslam.kernels import cells, matrices, poses
+from mfslam.observability import OPEN_SIGMA_M, is_torn
 from mfslam.odometry import step_sigmas
 from mfslam.recovery import MAX_ACCELERATION, free_motion_sigmas
 from mfslam.search import SearchMap
@@ -28,6 +28,8 @@ GUESS_SIGMAS, FAR_M = 3.0, 5.0  # of what wheels predict, within which points th
 SEARCHED_M = 15.0  # of the recent map, about the robot
 LOST_SHARE = 0.5  # of min_inlier_ratio: a scan that fits worse says nothing of where the robot is
 JUMP_POINTS = 30  # so many more points must fit where a scan is said to stand against its prediction
+ENDS_SIGMA_M = 0.02  # a match surer than this along its walls does not ask where they end
+FEW_SHARE = 0.05  # of the beams that tell the way along walls, against those that tell the way across: too few to trust
 JOINT_ROUNDS = 2  # of deskewing and solving for pose and twist
 
 
@@ -38,6 +40,9 @@ class Frontend:
     config: Config
     recent: deque[Keyframe] = field(default_factory=deque)
     _recent_points: deque[FloatArray] = field(default_factory=deque)  # theirs (M, 4) in the local frame
+    _recent_ends: deque[FloatArray] = field(default_factory=deque)  # of their walls (E, 5), without wheels
+    _finds_news: bool = False  # there are such that no keyframe knows
+    _ends: FloatArray = field(default_factory=lambda: ends.NO_ENDS)  # of the walls in this scan
     local_T_body: FloatArray = field(default_factory=lambda: np.zeros(3))
     reference: cells.CellTable | None = None
     place: SearchMap | None = None
@@ -57,6 +62,9 @@ class Frontend:
         """Place one scan in the local frame."""
         config = self.config
         cloud = deskew(scan, motion.twist, config.deskew, config.icp.point_spacing_m)
+        self._ends = (
+            ends.NO_ENDS if motion.step is not None else ends.wall_ends(scan, motion.twist, config.deskew)
+        )
         if self.reference is None:
             self.inertia.begin()
             self._add_keyframe(index, cloud)
@@ -104,7 +112,8 @@ class Frontend:
         self.local_T_body, self.last_step = match.ref_T_src, step
         if self.coasts:
             off = poses.log(poses.between(onward, step))
-            self.inertia.found(off, trust(match) * match.information)
+            information = trust(match) * match.information
+            self.inertia.found(off, information if match.by_ends is None else information + match.by_ends)
             self.last_step = poses.advance(np.zeros(3), self.inertia.step, 1.0)
         lost = match.inlier_ratio < LOST_SHARE * config.frontend.min_inlier_ratio
         self.blind_s = blind_s if lost and not likely else 0.0
@@ -115,6 +124,8 @@ class Frontend:
             moved[2]
         ) >= self.spacing * math.radians(config.frontend.keyframe_angle_deg)
         unseen = self.inertia.unseen(moved) if self.coasts else None
+        # what is seen after a way that nothing told is held on to at once
+        is_keyframe = is_keyframe or (unseen is not None and (self._finds_news or is_torn(unseen)))
         if is_keyframe:
             self._add_keyframe(index, cloud)
         return Step(self.local_T_body, match, is_keyframe, searched, jump, twist=twist, unseen=unseen)
@@ -189,10 +200,11 @@ class Frontend:
             sigmas = SEARCHED_SIGMAS
         elif motion.step is None:
             # a match counts every beam, of which only a share is independent
-            return icp.register(
+            match = icp.register(
                 self.reference, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m, config,
                 prior_information=self.inertia.information / config.independent_share,
             )  # fmt: skip
+            return self._along_walls(match, guess)
         elif self.wheels_trusted:
             prior = poses.compose(self.recent[-1].local_T_body, self.wheels_since_keyframe)
             sigmas = motion.noise_scale * step_sigmas(self.wheels_since_keyframe, self._step_noise)
@@ -204,6 +216,53 @@ class Frontend:
             self.reference, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m,
             config, prior, sigmas, radius_m,
         )  # fmt: skip
+
+    def _along_walls(self, match: Match, guess: FloatArray) -> Match:
+        """A match whose walls hardly tell the way along them, moved to where they end, or, where inertia does not allow what few
+        beams say, left to inertia: what they meet moves itself, a person who walks ahead or a door."""
+        values, vectors = np.linalg.eigh(match.information[:2, :2])
+        self._finds_news = False
+        if values[0] > ENDS_SIGMA_M**-2:
+            return match
+        told_by_few = values[0] < FEW_SHARE * values[1]
+        along = np.append(vectors[:, 0], 0.0)
+        by_inertia = 1.0 / float(along @ self.inertia.covariance[:3, :3] @ along)
+        moved_m = float(along @ poses.between(guess, match.ref_T_src))  # from where inertia leads
+        by_ends = self._shift_to_ends(match.ref_T_src, vectors[:, 0], by_inertia**-0.5)
+        if by_ends is not None:
+            shift_m, sigma_m = by_ends
+            told = sigma_m**-2.0
+            by_match, pull = (0.0, -by_inertia * moved_m) if told_by_few else (float(values[0]), 0.0)
+            off_m = (told * shift_m + pull) / (told + by_inertia + by_match)
+        else:
+            # the match and inertia together have moved it by the share of the match
+            if not told_by_few or values[0] <= 0.0:
+                return match
+            alone_m = moved_m * (1.0 + by_inertia / values[0])
+            if abs(alone_m) <= SURPRISE_GATE * math.sqrt(1.0 / values[0] + 1.0 / by_inertia):
+                return match
+            off_m, told = -moved_m, 0.0
+        information = matrices.drop_open_direction(match.information, FEW_SHARE)
+        return replace(
+            match,
+            ref_T_src=poses.advance(match.ref_T_src, along, off_m),
+            information=information,
+            by_ends=told * np.outer(along, along) if told > 0.0 else None,
+        )
+
+    def _shift_to_ends(
+        self, pose: FloatArray, along: FloatArray, sigma_m: float
+    ) -> tuple[float, float] | None:
+        """`ends.shift_along` a direction (2,) of the body that is known with ``sigma_m`` there."""
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        direction = np.array([c * along[0] - s * along[1], s * along[0] + c * along[1]])
+        seen = ends.along(ends.placed(self._ends, pose), direction)
+        if len(seen) < ends.LEAST_ENDS:
+            return None
+        known = ends.along(np.concatenate(self._recent_ends), direction)
+        found = ends.shift_along(seen, known, direction, SURPRISE_GATE * sigma_m + ENDS_SIGMA_M)
+        self._finds_news = found is None
+        return found
 
     def _search(
         self,
@@ -258,6 +317,7 @@ class Frontend:
             self.local_T_body = guess
             self.recent.clear()
             self._recent_points.clear()
+            self._recent_ends.clear()
         else:
             self.local_T_body = match.ref_T_src
         self.last_step, self.last_dt_s, self.blind_s = np.zeros(3), 0.0, 0.0
@@ -292,9 +352,11 @@ class Frontend:
     def _add_keyframe(self, index: int, cloud: DeskewedScan) -> None:
         self.recent.append(Keyframe(index, cloud, self.local_T_body))
         self._recent_points.append(placed(cloud, self.local_T_body))
+        self._recent_ends.append(ends.placed(self._ends, self.local_T_body))
         if len(self.recent) > self.config.frontend.local_keyframes:
             self.recent.popleft()
             self._recent_points.popleft()
+            self._recent_ends.popleft()
         self.inertia.mark()
         self.wheels_since_keyframe = np.zeros(3)
         self.wheels_trusted = True

@@ -40,6 +40,7 @@ class LoopCloser:
         self.gate_chi2 = chi2_quantile(config.graph.gate_probability)
         self.keyframes = keyframes
         self.travel_m = array("d")
+        self._tears = array("q")  # keyframes before which the path is torn
         self.statistics = LoopStatistics()
         # a spot that is known as well as a few matches would know it is left alone, however often it is passed
         self._known_m = self.config.gain_sigmas * math.sqrt(2.0) * self.config.sigma_floor_m
@@ -58,6 +59,8 @@ class LoopCloser:
         if not self.travel_m:
             self.travel_m.append(0.0)
             return
+        if torn:
+            self._tears.append(len(self.keyframes) - 1)
         a, b = self.keyframes[-2].local_T_body, self.keyframes[-1].local_T_body
         step_m = GAP_M if torn else math.hypot(b[0] - a[0], b[1] - a[1])
         self.travel_m.append(self.travel_m[-1] + step_m)
@@ -175,7 +178,7 @@ class LoopCloser:
             distance = math.hypot(center[0], center[1])
             window_m = min(window_m, config.reach_m)
             if distance > config.reach_m:
-                center[:2] *= max(0.0, 1.0 - window_m / distance)
+                center[:2] *= max(0.0, 1.0 - candidate.window_m / distance)
         if wide:
             found = hypotheses(
                 place.coarse_map,
@@ -226,13 +229,20 @@ class LoopCloser:
         back, seen_back = query.agreement(poses.between(match.ref_T_src, np.zeros(3)), place)
         if max(seen_there, seen_back) < config.min_coverage or min(seen_there, seen_back) < 0.2:
             return "too little in common"
-        wanted = config.wide_agreement if wide else config.min_agreement
+        wanted = config.min_agreement
+        if wide:
+            is_torn = self._tears_before(place.anchor) < self._tears_before(query.anchor)
+            wanted = config.torn_agreement if is_torn else config.wide_agreement
         if min(there, back) < wanted - 0.1 or 0.5 * (there + back) < wanted:
             return "contradicted by free space"
         if np.linalg.eigvalsh(match.information[:2, :2])[0] < config.max_sigma_m**-2:
             return "open in a direction"
         wanted = config.wide_inlier_ratio if wide else config.min_inlier_ratio
         return "poor fit" if match.inlier_ratio < wanted * seen_there else None
+
+    def _tears_before(self, k: int) -> int:
+        """How often the path is torn on the way to keyframe k."""
+        return bisect.bisect(self._tears, k)
 
     def _unambiguous(self, found: list[Loop], world_T_body: FloatArray) -> list[Loop]:
         """Loops from wide windows must not tell of two places for one scan."""

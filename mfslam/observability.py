@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mfslam import se2
-from mfslam.types import Edge, FloatArray, IntArray, OpenStretch
+from mfslam.types import Edge, EdgeKind, FloatArray, IntArray, OpenStretch
 
 OPEN_SIGMA_M = 0.1  # a match less sure than this along some direction leaves it open
 GAP_M = 1.0  # stretches of one direction nearer than this are one
@@ -20,13 +20,13 @@ def open_stretches(world_T_keyframe: FloatArray, keyframes: IntArray, edges: lis
 
     ``world_T_keyframe`` (K, 3); ``keyframes`` (K,): their scans.
     """
-    steps = sorted((e for e in edges if e.kind == "scan" and e.j == e.i + 1), key=lambda e: e.j)
-    if not steps:
+    known = _steps_by(edges, ("scan", "ends"))
+    if not known:
         return []
-    ends = np.array([e.j for e in steps])
-    information = np.array([e.information for e in steps], dtype=np.float64)
+    ends = np.array(sorted(known))
+    information = np.array([known[j] for j in ends.tolist()])
     # the turn is estimated too: what it leaves of the translation
-    covariance = np.linalg.inv(information + 1e-6 * np.eye(3))[:, :2, :2]
+    covariance = np.linalg.inv(information)[:, :2, :2]
     values, vectors = np.linalg.eigh(covariance)
     sigma_m = np.sqrt(values[:, 1].clip(min=0.0))
     along = np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]) + world_T_keyframe[ends, 2]
@@ -54,6 +54,15 @@ def open_stretches(world_T_keyframe: FloatArray, keyframes: IntArray, edges: lis
     ]
 
 
+def _steps_by(edges: list[Edge], kinds: tuple[EdgeKind, ...]) -> dict[int, FloatArray]:
+    """What edges of these kinds say together of each step between two keyframes: the later one, and information (3, 3)."""
+    known: dict[int, FloatArray] = {}
+    for edge in edges:
+        if edge.kind in kinds and edge.j == edge.i + 1:
+            known[edge.j] = known.get(edge.j, 1e-6 * np.eye(3)) + edge.information
+    return known
+
+
 def is_torn(covariance: FloatArray) -> bool:
     """Whether a step of this covariance (3, 3) tears the path."""
     largest_m2 = np.linalg.eigvalsh(covariance[:2, :2])[1]
@@ -63,10 +72,7 @@ def is_torn(covariance: FloatArray) -> bool:
 def tears(edges: list[Edge]) -> dict[int, FloatArray]:
     """Keyframes before which the path is torn, each with the covariance (3, 3) of the step to it: neither matches nor wheels
     tell that step, and no loop in use ties both sides."""
-    known: dict[int, FloatArray] = {}
-    for edge in edges:
-        if edge.kind in ("scan", "odometry", "heading") and edge.j == edge.i + 1:
-            known[edge.j] = known.get(edge.j, 1e-6 * np.eye(3)) + edge.information
+    known = _steps_by(edges, ("scan", "ends", "odometry", "heading"))
     if not known:
         return {}
     ends = np.array(sorted(known))

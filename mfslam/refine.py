@@ -50,7 +50,7 @@ class Refinement:
         self.wheels = WheelTerms(steps, errors.errors, errors.noise_share, config.odometry)
         told = set(zip(self.wheels.i.tolist(), self.wheels.j.tolist(), strict=True))
         self._ties = [
-            _tie(edge, (edge.i, edge.j) in told) for edge in edges if edge.kind in ("scan", "heading")
+            _tie(edge, (edge.i, edge.j) in told) for edge in edges if edge.kind in ("scan", "ends", "heading")
         ]
         self._gate_share, self._iterations = 1.0, config.refine.iterations
         self._loops = [edge for edge in edges if edge.kind == "loop" and edge.weight >= 0.5]
@@ -93,7 +93,7 @@ def held_by_inertia(information: FloatArray, unseen: FloatArray | None) -> Float
 
 def _tie(edge: Edge, told: bool) -> Edge:
     """An edge as the adjustment takes it: of a scan match only what it must say so that nothing falls apart."""
-    if edge.kind == "heading":
+    if edge.kind != "scan":
         return edge
     most = HARDLY_ANYTHING if told else INERTIA
     if np.all(np.linalg.eigvalsh(edge.information - most) > 0.0):

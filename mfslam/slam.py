@@ -186,6 +186,8 @@ class Slam:
         else:
             held = held_by_inertia(information, step.unseen)
         yield Edge("scan", i, j, prev_T_body, held)
+        if step.match.by_ends is not None:
+            yield Edge("ends", i, j, prev_T_body, step.match.by_ends)
         sure = step.match.inlier_ratio > GOOD_FIT
         yield from self._motion.edges(i, j, a, b, prev_T_body, step.match.information, sure)
 

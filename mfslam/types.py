@@ -191,7 +191,7 @@ class Match:
     ``information`` (3, 3): inverse covariance of ``ref_T_src`` in the tangent at ``ref_T_src`` (right
     perturbation, order x, y, theta as in gtsam.Pose2). Directions that the scan does not constrain have
     next to none. ``inlier_ratio``: share of source points that found their partner, robustly weighted. ``rms_m``: root mean
-    square of the inliers' residuals.
+    square of the inliers' residuals. ``by_ends`` (3, 3): information beyond that, by where walls end; None: no walls were asked.
     """
 
     ref_T_src: FloatArray
@@ -200,9 +200,10 @@ class Match:
     rms_m: float
     iterations: int
     converged: bool
+    by_ends: FloatArray | None = None
 
 
-EdgeKind = Literal["prior", "odometry", "scan", "loop", "heading"]
+EdgeKind = Literal["prior", "odometry", "scan", "ends", "loop", "heading"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -12,7 +12,9 @@ from mfslam import se2
 from mfslam.config import Config, GraphConfig
 from mfslam.deskew import deskew
 from mfslam.graph import PoseGraph
+from mfslam.loop_records import Candidate
 from mfslam.loops import MOST_MISSES, Loop, LoopCloser
+from mfslam.places import Place
 from mfslam.step_records import Keyframe
 from mfslam.types import Edge, Match
 from mfslam.uncertainty import chi2_quantile
@@ -205,3 +207,46 @@ def test_the_place_of_a_keyframe_lies_on_its_side_of_a_tear():
     closer = LoopCloser(Config(), [])
     closer.travel_m.extend([0.0, 1.0, 101.0, 102.0, 103.0])
     assert [closer._anchor(k) for k in range(5)] == [1, 1, 2, 4, 4]
+
+
+def test_an_old_place_is_sought_where_it_may_be_seen_however_far_off_it_is_held_to_be():
+    """After a tear nothing is known: the place is 40 m off, as it were, and may be here."""
+    poses = np.array([*THERE, *THERE])
+    closer = LoopCloser(Config(), [Keyframe(k, sense(ROOM_A, pose), pose) for k, pose in enumerate(poses)])
+    for k in range(len(poses)):
+        closer.travel_m.append(0.3 * k + (100.0 if k >= len(THERE) else 0.0))
+    query = Place.of(closer.keyframes, closer._members(len(poses) - 1, trailing=True), len(poses) - 1)
+    believed = poses + np.where(np.arange(len(poses)) < len(THERE), 0.0, 40.0)[:, None] * [1.0, 0.0, 0.0]
+    candidate = Candidate(len(THERE) // 2, 100.0, math.pi)
+    loop = closer._match(candidate, query, believed, 0.01)
+    assert loop is not None
+    off = se2.between(se2.between(poses[loop.i], poses[loop.j]), loop.match.ref_T_src)
+    assert np.abs(off).max() < 0.05
+    assert closer._match(Candidate(candidate.keyframe, 20.0, math.pi), query, believed, 0.01) is None
+
+
+def test_over_a_tear_a_place_has_to_agree_more_closely():
+    poses = np.array([*THERE, *THERE])
+    closer = LoopCloser(Config(), [])
+    closer.travel_m.extend(0.3 * k for k in range(len(poses)))
+    for changed_m, over_a_tear, same in ((0.0, True, True), (0.35, False, True), (0.35, True, False)):
+        # a cupboard was moved by so much
+        moved = np.array(
+            [
+                *box(0, 0, 8, 6),
+                *box(1, 1, 1.5, 0.6),
+                *box(6, 4 - changed_m, 0.8, 1.4),
+                *box(3.8, 5.2, 1.2, 0.8),
+            ]
+        )
+        closer.keyframes = [
+            Keyframe(k, sense(ROOM_A if k < len(THERE) else moved, pose), pose)
+            for k, pose in enumerate(poses)
+        ]
+        closer._tears = type(closer._tears)("q", [len(THERE)] if over_a_tear else [])
+        anchor, here = len(THERE) // 2, len(poses) - 1
+        place = Place.of(closer.keyframes, closer._members(anchor, trailing=False), anchor)
+        query = Place.of(closer.keyframes, closer._members(here, trailing=True), here)
+        pose = se2.between(poses[anchor], poses[here])
+        fit = closer._fit(place, query, pose, 1.0, True, 0.01)
+        assert (fit.refused is None) is same

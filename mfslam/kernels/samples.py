@@ -12,6 +12,7 @@ from mfslam.kernels import (
     block_cholesky,
     cells,
     correlate,
+    ends,
     evidence,
     glass,
     graph_terms,
@@ -54,6 +55,9 @@ def _call_scans() -> None:
         0.08,
         0.01,
         0.05,
+    )
+    ends.wall_ends(
+        np.full(40, 2.0, np.float32), -normals, np.zeros(40), np.zeros(3), np.ones(3), 0.1, 10.0, 0.01
     )
     cells.smooth_surface(cells.build_cells(np.hstack([points, normals]), 0.25), 0.25, 0.1, 0.05)
 

@@ -12,7 +12,7 @@ from mfslam import se2
 from mfslam.metrics import crispness
 from mfslam.types import Edge, EdgeKind, FloatArray, IntArray, RunResult
 
-KINDS: tuple[EdgeKind, ...] = ("scan", "loop", "odometry", "heading", "prior")
+KINDS: tuple[EdgeKind, ...] = ("scan", "ends", "loop", "odometry", "heading", "prior")
 CRISPNESS_CELL_M = 0.02
 SATISFIED_M, SATISFIED_DEG = 0.2, 1.0  # as others publish it: loops violated by less, of all
 
