@@ -209,6 +209,11 @@ class LoopCloser:
         if best.refused is not None:
             self.statistics.refuse(best.refused)
             return None
+        # the search looks into whole blocks: what it finds beside its window may be told from others, but is not believed
+        beside = np.abs(best.match.ref_T_src[:2] - center[:2]).max() - window_m
+        if beside > config.min_window_m:
+            self.statistics.refuse("beside its window")
+            return None
         floor = (config.sigma_floor_m, math.radians(config.sigma_floor_deg))
         match = replace(best.match, information=icp.with_floor(best.match.information, *floor))
         return Loop(place.anchor, query.anchor, match, candidate.window_m, best.score)

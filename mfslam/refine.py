@@ -29,6 +29,7 @@ ASKED = 1000  # keyframes at a time
 PLACED = 256  # keyframes whose points are remembered in the world: the way goes on beside those that were just asked for
 # of a step that wheels tell, or that nothing but inertia holds, where no wall does (1 m, 1 rad; 0.2 m, 0.2 rad)
 HARDLY_ANYTHING, INERTIA = np.eye(3), 25.0 * np.eye(3)
+LEAST_UNSEEN = 0.05**2  # nor does inertia know a step better
 MOST_UNSEEN = 25.0  # variance of a step that nothing but inertia tells, so that no chain breaks
 
 
@@ -89,6 +90,13 @@ def held_by_inertia(information: FloatArray, unseen: FloatArray | None) -> Float
     if not is_torn(unseen):
         return held
     return np.asarray(np.linalg.inv(np.linalg.inv(held) + vectors * values @ vectors.T))
+
+
+def likely_by_inertia(unseen: FloatArray) -> FloatArray:
+    """(3, 3) what inertia says of where the robot likely is after a step, whose way no scan told with covariance ``unseen`` (3, 3)."""
+    values, vectors = np.linalg.eigh(unseen)
+    information: FloatArray = vectors / np.clip(values, LEAST_UNSEEN, 1.0 / INERTIA[0, 0]) @ vectors.T
+    return information
 
 
 def _tie(edge: Edge, told: bool) -> Edge:

@@ -23,7 +23,7 @@ from mfslam.motion import MotionSources
 from mfslam.observability import torn_covariances
 from mfslam.ranges import with_true_ranges
 from mfslam.recovery import REACH_SIGMAS, reach
-from mfslam.refine import HARDLY_ANYTHING, INERTIA, held_by_inertia
+from mfslam.refine import HARDLY_ANYTHING, held_by_inertia, likely_by_inertia
 from mfslam.scan_motion import ADJUSTED_SIGMAS, LEAST_SIGMAS, MATCHED_SIGMAS, SmoothMotion, smooth
 from mfslam.step_records import GOOD_FIT, Keyframe, Step, trust
 from mfslam.types import (
@@ -165,7 +165,7 @@ class Slam:
             likely = edges[:1] if torn else edges
             if step.unseen is not None:
                 # where nothing is seen, loops are sought where the robot likely is: all that inertia allows looks alike
-                likely = [*edges, replace(edges[0], information=INERTIA)]
+                likely = [*edges, replace(edges[0], information=likely_by_inertia(step.unseen))]
             self.loops.skeleton.add_step(likely, self.graph.standing_poses(), torn)
         if self.loops.due():
             self._close_loops()
