@@ -220,26 +220,30 @@ class Frontend:
     def _along_walls(self, match: Match, guess: FloatArray) -> Match:
         """A match whose walls hardly tell the way along them, moved to where they end, or, where inertia does not allow what few
         beams say, left to inertia: what they meet moves itself, a person who walks ahead or a door."""
-        values, vectors = np.linalg.eigh(match.information[:2, :2])
         self._finds_news = False
-        if values[0] > ENDS_SIGMA_M**-2:
+        (a, b, _), (_, d, _), _ = match.information.tolist()
+        middle, half = 0.5 * (a + d), math.hypot(0.5 * (a - d), b)
+        # what the match says of the way along the walls, and of that across
+        by_beams, across = middle - half, middle + half
+        if by_beams > ENDS_SIGMA_M**-2:
             return match
-        told_by_few = values[0] < FEW_SHARE * values[1]
-        along = np.append(vectors[:, 0], 0.0)
+        told_by_few = by_beams < FEW_SHARE * across
+        _, *direction = matrices.open_direction(match.information, 1.0)
+        along = np.array([*direction, 0.0])
         by_inertia = 1.0 / float(along @ self.inertia.covariance[:3, :3] @ along)
         moved_m = float(along @ poses.between(guess, match.ref_T_src))  # from where inertia leads
-        by_ends = self._shift_to_ends(match.ref_T_src, vectors[:, 0], by_inertia**-0.5)
+        by_ends = self._shift_to_ends(match.ref_T_src, along, by_inertia**-0.5)
         if by_ends is not None:
             shift_m, sigma_m = by_ends
             told = sigma_m**-2.0
-            by_match, pull = (0.0, -by_inertia * moved_m) if told_by_few else (float(values[0]), 0.0)
+            by_match, pull = (0.0, -by_inertia * moved_m) if told_by_few else (by_beams, 0.0)
             off_m = (told * shift_m + pull) / (told + by_inertia + by_match)
         else:
             # the match and inertia together have moved it by the share of the match
-            if not told_by_few or values[0] <= 0.0:
+            if not told_by_few or by_beams <= 0.0:
                 return match
-            alone_m = moved_m * (1.0 + by_inertia / values[0])
-            if abs(alone_m) <= SURPRISE_GATE * math.sqrt(1.0 / values[0] + 1.0 / by_inertia):
+            alone_m = moved_m * (1.0 + by_inertia / by_beams)
+            if abs(alone_m) <= SURPRISE_GATE * math.sqrt(1.0 / by_beams + 1.0 / by_inertia):
                 return match
             off_m, told = -moved_m, 0.0
         information = matrices.drop_open_direction(match.information, FEW_SHARE)
@@ -253,7 +257,7 @@ class Frontend:
     def _shift_to_ends(
         self, pose: FloatArray, along: FloatArray, sigma_m: float
     ) -> tuple[float, float] | None:
-        """`ends.shift_along` a direction (2,) of the body that is known with ``sigma_m`` there."""
+        """`ends.shift_along` a direction (3,) of the body that is known with ``sigma_m`` there."""
         c, s = math.cos(pose[2]), math.sin(pose[2])
         direction = np.array([c * along[0] - s * along[1], s * along[0] + c * along[1]])
         seen = ends.along(ends.placed(self._ends, pose), direction)

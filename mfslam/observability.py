@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mfslam import se2
@@ -65,8 +67,9 @@ def _steps_by(edges: list[Edge], kinds: tuple[EdgeKind, ...]) -> dict[int, Float
 
 def is_torn(covariance: FloatArray) -> bool:
     """Whether a step of this covariance (3, 3) tears the path."""
-    largest_m2 = np.linalg.eigvalsh(covariance[:2, :2])[1]
-    return bool(largest_m2 > TORN_M**2 or covariance[2, 2] > TORN_RAD**2)
+    (a, b, _), (_, d, _), (_, _, turn_rad2) = covariance.tolist()
+    largest_m2 = 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)
+    return bool(largest_m2 > TORN_M**2 or turn_rad2 > TORN_RAD**2)
 
 
 def tears(edges: list[Edge]) -> dict[int, FloatArray]:
