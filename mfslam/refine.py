@@ -26,6 +26,7 @@ LOCALISE_SIGMAS = np.array([0.05, 0.05, 0.02])
 # the surroundings of a keyframe: so many before it, so far off at most
 SUCCESSIVE, AROUND_M = 3, 3.0
 ASKED = 1000  # keyframes at a time
+STRETCH = 3  # steps between keyframes whose scans are matched with one surface
 PLACED = 256  # keyframes whose points are remembered in the world: the way goes on beside those that were just asked for
 # of a step that wheels tell, or that nothing but inertia holds, where no wall does (1 m, 1 rad; 0.2 m, 0.2 rad)
 HARDLY_ANYTHING, INERTIA = np.eye(3), 25.0 * np.eye(3)
@@ -134,12 +135,15 @@ def localise_between(
 
     found: list[int] = []
     matches: list[Match] = []
-    for a in range(len(keyframes) - 1):
-        if index[a + 1] == index[a] + 1:
+    for a in range(0, len(keyframes) - 1, STRETCH):
+        b = min(a + STRETCH, len(keyframes) - 1)
+        waiting = sorted(set(range(index[a], index[b])).difference(index[a:b].tolist()))
+        if not waiting:
             continue
-        members = sorted(around[a] | around[a + 1])
-        surface = merged_surface([in_world(k) for k in members])
-        for n in range(index[a] + 1, index[a + 1]):
+        # those inside the stretch know its ends, too
+        members = set[int]().union(*(around[k] for k in range(a + 1, b) or (a, b)))
+        surface = merged_surface([in_world(k) for k in sorted(members)])
+        for n in waiting:
             scan, guess = scans[n], world_T_body[n]
             cloud = deskew(scan, twists[n], config.deskew, config.icp.point_spacing_m)
             match = icp.register(
