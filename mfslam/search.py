@@ -11,7 +11,6 @@ import numpy.typing as npt
 from mfslam.kernels import correlate
 from mfslam.types import FloatArray
 
-NOTHING_AVOIDED = np.zeros((0, 4))
 MAX_HYPOTHESES, ELSEWHERE_M = 3, 1.0
 MAX_POINTS = 150  # more points sharpen a coarse search no further
 FAR_SHARE = 0.8  # of the points are nearer than a typical far one
@@ -48,26 +47,13 @@ def search(
     half_window_m: float,
     half_window_rad: float,
     min_score: float,
-    avoid: FloatArray = NOTHING_AVOIDED,
 ) -> tuple[FloatArray, float]:
     """Best pose (3,) of a point set within the window about ``center``, and its score, 0 to 1.
 
-    The score is 0 where nothing reached ``min_score``. ``avoid`` (N, 4), rows x, y, theta, radius: no answer from
-    there, to ask for the runner-up.
+    The score is 0 where nothing reached ``min_score``.
     """
-    if not len(points_m):
-        return center, 0.0
-    points = thin_evenly(points_m, MAX_POINTS)
-    # the angle step moves the typical far point by one cell
-    typical = int(FAR_SHARE * (len(points) - 1))
-    reach = max(1.0, float(np.partition(np.hypot(points[:, 0], points[:, 1]), typical)[typical]))
-    step = place.cell_m / reach
-    n = math.ceil(half_window_rad / step)
-    angles = np.arange(-n, n + 1) * step
-    pose, score = correlate.branch_and_bound(
-        place.levels, place.origin_m, place.cell_m, points, center, angles, half_window_m, min_score, avoid
-    )
-    return pose, score
+    found = _best(place, points_m, center, half_window_m, half_window_rad, min_score, 1, 1.0)
+    return found[0] if found else (center, 0.0)
 
 
 def hypotheses(
@@ -83,17 +69,35 @@ def hypotheses(
 
     At most ``MAX_HYPOTHESES`` + 1: that many say that a place looks alike wherever one stands in it.
     """
-    out: list[tuple[FloatArray, float]] = []
-    avoid = NOTHING_AVOIDED
-    least = min_score
-    while len(out) <= MAX_HYPOTHESES:
-        pose, score = search(place, points_m, center, half_window_m, half_window_rad, least, avoid)
-        if score == 0.0:
-            break
-        out.append((pose, score))
-        avoid = np.vstack([avoid, [*pose, ELSEWHERE_M]])
-        least = rival_share * out[0][1]
-    return out
+    return _best(
+        place, points_m, center, half_window_m, half_window_rad, min_score, MAX_HYPOTHESES + 1, rival_share
+    )
+
+
+def _best(
+    place: SearchMap,
+    points_m: FloatArray,
+    center: FloatArray,
+    half_window_m: float,
+    half_window_rad: float,
+    min_score: float,
+    most: int,
+    rival_share: float,
+) -> list[tuple[FloatArray, float]]:
+    if not len(points_m):
+        return []
+    points = thin_evenly(points_m, MAX_POINTS)
+    # the angle step moves the typical far point by one cell
+    typical = int(FAR_SHARE * (len(points) - 1))
+    reach = max(1.0, float(np.partition(np.hypot(points[:, 0], points[:, 1]), typical)[typical]))
+    step = place.cell_m / reach
+    n = math.ceil(half_window_rad / step)
+    angles = np.arange(-n, n + 1) * step
+    poses, scores = correlate.branch_and_bound(
+        place.levels, place.origin_m, place.cell_m, points, center, angles, half_window_m, min_score,
+        most, rival_share, ELSEWHERE_M,
+    )  # fmt: skip
+    return list(zip(poses, scores.tolist(), strict=True))
 
 
 def thin_evenly(points_m: FloatArray, count: int) -> FloatArray:

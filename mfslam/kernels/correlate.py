@@ -77,10 +77,14 @@ def _four_scores(
 
 
 @helper
-def _is_avoided(avoid: FloatArray, x: float, y: float, theta: float) -> bool:
-    for n in range(avoid.shape[0]):
-        dx, dy = x - avoid[n, 0], y - avoid[n, 1]
-        if dx * dx + dy * dy < avoid[n, 3] * avoid[n, 3] and math.cos(theta - avoid[n, 2]) > SAME_HEADING:
+def _is_avoided(
+    poses: FloatArray, count: int, radius: float, x: float, y: float, size: float, theta: float
+) -> bool:
+    """Whether one of the first ``count`` poses (3,) is nearer than ``radius`` to all of a block (x, y, size) and looks the same way."""
+    for n in range(count):
+        dx = max(abs(x - poses[n, 0]), abs(x + size - poses[n, 0]))
+        dy = max(abs(y - poses[n, 1]), abs(y + size - poses[n, 1]))
+        if dx * dx + dy * dy < radius * radius and math.cos(theta - poses[n, 2]) > SAME_HEADING:
             return True
     return False
 
@@ -95,21 +99,20 @@ def branch_and_bound(
     angles: FloatArray,
     half_window: float,
     min_score: float,
-    avoid: FloatArray,
-) -> tuple[FloatArray, float]:
-    """Best pose of ``points`` (M, 2) within the window about ``center``, exactly as on the finest grid.
+    most: int,
+    rival_share: float,
+    apart: float,
+) -> tuple[FloatArray, FloatArray]:
+    """The best poses (K, 3) of ``points`` (M, 2) within the window about ``center``, exactly as on the finest grid, and their scores
+    (K,), the best first.
 
     ``levels``: of `pyramid`, ``origin`` (2,) the corner of its grid. ``angles``: headings added to the
-    centre's. ``min_score`` and the returned score are shares of the perfect one, 0 to 1; a score of 0 says
-    that nothing reached ``min_score``. ``avoid`` (x, y, radius): no answer from inside that circle (radius 0:
-    none is avoided).
+    centre's. ``min_score`` and the scores returned are shares of the perfect one, 0 to 1. At most ``most`` poses, those after the first
+    with ``rival_share`` of its score at least, and not nearer than ``apart`` to one before that looks the same way.
     """
     top = levels.shape[0] - 1
     m = points.shape[0]
     perfect = 255 * max(m, 1)
-    best = min_score * perfect
-    pose = center.copy()
-    found = 0.0
     half = math.ceil(half_window / cell)
     block = 1 << top
     per_side = (2 * half) // block + 1
@@ -133,46 +136,53 @@ def branch_and_bound(
                 at = (a * side + u) * side + v
                 scores[at], scores[at + 1] = four[0], four[1]
                 scores[at + side], scores[at + side + 1] = four[2], four[3]
-    order = _best_first(scores, perfect, best)
+    order = _best_first(scores, perfect, min_score * perfect)
+    poses, found = np.zeros((most, 3)), np.zeros(most)
     # depth first: (level, angle, ox, oy, bound that put it on the stack)
     stack = np.empty((4 * (top + 1) + 4, 5), np.int64)
-    for n in range(order.shape[0]):
-        a, u, v = order[n] // (side * side), (order[n] // side) % side, order[n] % side
-        if u == per_side or v == per_side:
-            continue
-        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = top, a, u * block - half, v * block - half
-        stack[0, 4] = scores[order[n]]
-        depth = 1
-        while depth > 0:
-            depth -= 1
-            if stack[depth, 4] <= best:
+    count = 0
+    while count < most:
+        best = (rival_share * found[0] if count else min_score) * perfect
+        for n in range(order.shape[0]):
+            a, u, v = order[n] // (side * side), (order[n] // side) % side, order[n] % side
+            if u == per_side or v == per_side:
                 continue
-            h, a, ox, oy = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
-            if h == 0:
-                px, py = center[0] + ox * cell, center[1] + oy * cell
-                if _is_avoided(avoid, px, py, center[2] + angles[a]):
+            stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = top, a, u * block - half, v * block - half
+            stack[0, 4] = scores[order[n]]
+            depth = 1
+            while depth > 0:
+                depth -= 1
+                if stack[depth, 4] <= best:
                     continue
-                best = float(stack[depth, 4])
-                found = best / perfect
-                pose[0], pose[1], pose[2] = px, py, center[2] + angles[a]
-                continue
-            step = 1 << (h - 1)
-            _four_scores(levels, h - 1, xs[a], ys[a], ox, oy, step, four)
-            base = depth
-            for child in range(4):
-                bound = four[child]
-                if bound <= best:
+                h, a, ox, oy = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+                px, py, theta = center[0] + ox * cell, center[1] + oy * cell, center[2] + angles[a]
+                if _is_avoided(poses, count, apart, px, py, ((1 << h) - 1) * cell, theta):
                     continue
-                # insertion keeps the most promising child on top of the stack
-                at = depth
-                while at > base and stack[at - 1, 4] > bound:
-                    for u in range(5):
-                        stack[at, u] = stack[at - 1, u]
-                    at -= 1
-                stack[at, 0], stack[at, 1], stack[at, 4] = h - 1, a, bound
-                stack[at, 2], stack[at, 3] = ox + step * (child // 2), oy + step * (child % 2)
-                depth += 1
-    return pose, found
+                if h == 0:
+                    best = float(stack[depth, 4])
+                    found[count] = best / perfect
+                    poses[count, 0], poses[count, 1], poses[count, 2] = px, py, theta
+                    continue
+                step = 1 << (h - 1)
+                _four_scores(levels, h - 1, xs[a], ys[a], ox, oy, step, four)
+                base = depth
+                for child in range(4):
+                    bound = four[child]
+                    if bound <= best:
+                        continue
+                    # insertion keeps the most promising child on top of the stack
+                    at = depth
+                    while at > base and stack[at - 1, 4] > bound:
+                        for u in range(5):
+                            stack[at, u] = stack[at - 1, u]
+                        at -= 1
+                    stack[at, 0], stack[at, 1], stack[at, 4] = h - 1, a, bound
+                    stack[at, 2], stack[at, 3] = ox + step * (child // 2), oy + step * (child % 2)
+                    depth += 1
+        if found[count] == 0.0:
+            break
+        count += 1
+    return poses[:count], found[:count]
 
 
 @helper

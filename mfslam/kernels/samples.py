@@ -113,7 +113,7 @@ def _call_loop_closure() -> None:
     points, _ = _seen()
     corner, pose = np.array([-3.0, -3.0]), np.zeros(3)
     levels = correlate.pyramid(correlate.likelihood_grid(points, corner, 60, 60, 0.1, 0.1), 3)
-    correlate.branch_and_bound(levels, corner, 0.1, points, pose, np.zeros(1), 0.3, 0.1, np.zeros((0, 4)))
+    correlate.branch_and_bound(levels, corner, 0.1, points, pose, np.zeros(1), 0.3, 0.1, 1, 1.0, 1.0)
     grid = evidence.evidence_grid(np.zeros((1, 2)), np.array([0, len(points)]), points, corner, 60, 60, 0.1)
     evidence.agreement(grid, corner, 0.1, pose, points)
     reach.carried(pose, np.eye(3))

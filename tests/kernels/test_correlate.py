@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from mfslam.kernels import correlate
 
 CELL_M = 0.1
-NOTHING_AVOIDED = np.zeros((0, 4))
 
 
 def test_likelihood_is_a_gaussian_of_the_distance_to_the_nearest_point():
@@ -62,30 +61,31 @@ def exhaustive(grid, origin, points, center, angles, half_window, levels):
     st.integers(1, 4),
     st.floats(0.05, 0.75),
     st.floats(0.0, 0.6),
-    st.booleans(),
+    st.integers(1, 4),
+    st.floats(0.5, 1.0),
 )
-def test_search_is_exhaustive(seed, levels, half_window, min_score, avoiding):
-    """Random grids and points, partly outside of the grid: same best score, and a pose that has it."""
+def test_search_is_exhaustive(seed, levels, half_window, min_score, most, rival_share):
+    """Random grids and points, partly outside of the grid: the same best scores, one after the other, and poses that have them."""
     rng = np.random.default_rng(seed)
     grid = (rng.integers(0, 256, (15, 12)) * (rng.random((15, 12)) < 0.4)).astype(np.uint8)
     points = rng.uniform(-0.7, 0.9, (8, 2))
     center, origin = np.array([0.6, 0.7, rng.uniform(-3.0, 3.0)]), np.array([-0.05, 0.03])
-    angles = np.array([-0.3, 0.0, 0.2])
+    angles = np.array([-0.2, 0.0, 0.2])  # all are within half a rad of each other
     scores = exhaustive(grid, origin, points, center, angles, half_window, levels)
-    avoid = NOTHING_AVOIDED
-    if avoiding:
-        best_pose = max(scores, key=scores.__getitem__)
-        avoid = np.array([[*best_pose, 0.15]])  # all angles are within half a rad of it
-        scores = {p: s for p, s in scores.items() if math.dist(p[:2], best_pose[:2]) >= 0.15}
-    best = max(scores.values(), default=0.0)
-    pose, found = correlate.branch_and_bound(
-        correlate.pyramid(grid, levels), origin, CELL_M, points, center, angles, half_window, min_score, avoid
-    )
-    if best <= min_score:
-        assert found == 0.0
-        np.testing.assert_array_equal(pose, center)
-    else:
-        assert found == pytest.approx(best, abs=1e-12)
-        nearest = min(scores, key=lambda p: float(np.abs(np.array(p) - pose).sum()))
-        np.testing.assert_allclose(nearest, pose, atol=1e-12)
+    poses, found = correlate.branch_and_bound(
+        correlate.pyramid(grid, levels), origin, CELL_M, points, center, angles, half_window, min_score,
+        most, rival_share, 0.15,
+    )  # fmt: skip
+    least = min_score
+    for k in range(most):
+        best = max(scores.values(), default=0.0)
+        if best <= least:
+            assert len(found) == len(poses) == k
+            return
+        assert found[k] == pytest.approx(best, abs=1e-12)
+        nearest = min(scores, key=lambda p: float(np.abs(np.array(p) - poses[k]).sum()))
+        np.testing.assert_allclose(nearest, poses[k], atol=1e-12)
         assert scores[nearest] == pytest.approx(best, abs=1e-12)
+        scores = {p: s for p, s in scores.items() if math.dist(p[:2], nearest[:2]) >= 0.15}
+        least = rival_share * found[0]
+    assert len(found) == most
