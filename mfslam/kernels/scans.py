@@ -79,19 +79,20 @@ def estimate_normals(
 ) -> FloatArray:
     """Normals (M, 2) facing the sensor, by a line through each point's neighbours in beam order.
 
-    (0, 0) where there are fewer than three, or where they are no line (spread across it above 3 sigma
-    and above a fifth of the spread along it).
+    (0, 0) where there are fewer than three, or where they are no line: spread across it above 3 sigma, or above a fifth of
+    the spread along it with what noise adds taken off, half of that with it.
     """
     m = points.shape[0]
     normals = np.zeros((m, 2))
     reach = 16  # beams to either side at most
+    noise = sigma * sigma
     for k in range(m):
         px, py = points[k, 0], points[k, 1]
         dx, dy = px - origin[0], py - origin[1]
         dist = math.sqrt(dx * dx + dy * dy)
         # wide enough that noise does not turn the line, and that sparse beams find neighbours
-        radius = min(2.0, max(0.15, 8.0 * sigma, 4.0 * dist * beam_step))
-        r2 = radius * radius
+        radius = max(0.15, 8.0 * sigma, 4.0 * dist * beam_step)
+        r2 = min(4.0, max(radius * radius, _apart_at_a_slant(points, beams, k)))
         cnt = 1
         sx = sy = sxx = sxy = syy = 0.0
         for side in (-1, 1):
@@ -115,7 +116,7 @@ def estimate_normals(
         half_trace, half_diff = 0.5 * (cxx + cyy), 0.5 * (cxx - cyy)
         root = math.sqrt(half_diff * half_diff + cxy * cxy)
         small, large = max(0.0, half_trace - root), half_trace + root
-        if large < 1e-8 or (small > 9.0 * sigma * sigma) or small > 0.04 * large:
+        if large < 1e-8 or small > min(9.0 * noise, 0.04 * large + 2.0 * noise, 0.25 * large):
             continue
         # the eigenvector of the small eigenvalue, turned towards the sensor
         nx, ny = cxy, -half_diff - root
@@ -127,6 +128,20 @@ def estimate_normals(
         nx, ny = nx / length, ny / length
         normals[k, 0], normals[k, 1] = nx, ny
     return normals
+
+
+@helper
+def _apart_at_a_slant(points: FloatArray, beams: IntArray, k: int) -> float:
+    """Twice the square of how far a point's neighbours stand, if they look like beams that meet one wall at a slant: far apart,
+    but evenly, and in one line. Such beams tell most of the heading."""
+    if k == 0 or k == points.shape[0] - 1 or beams[k + 1] - beams[k - 1] > 4:
+        return 0.0
+    ax, ay = points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1]
+    bx, by = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
+    a2, b2, along = ax * ax + ay * ay, bx * bx + by * by, ax * bx + ay * by
+    if max(a2, b2) > 4.0 * min(a2, b2) or along < 0.0 or along * along < 0.81 * a2 * b2:
+        return 0.0
+    return 2.0 * max(a2, b2)
 
 
 @helper
