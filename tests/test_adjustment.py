@@ -162,10 +162,11 @@ def test_pose_equations_are_the_schur_complement():
         sums[g, 12:15] = block[3, 3], block[3, 4], block[4, 4]
         sums[g, 15:18], sums[g, 18:20] = -of_pose.T @ residual, -of_line.T @ residual
     scan_of, patch_of = np.ascontiguousarray(scan_of, np.int32), np.ascontiguousarray(patch_of, np.int32)
-    terms, own, found = np.zeros((walls, 6)), np.zeros((scans, 3, 3)), np.zeros((scans, 3))
+    terms, own, found = np.zeros((walls, 7)), np.zeros((scans, 3, 3)), np.zeros((scans, 3))
     columns = np.empty((len(pairs), 3, 2), np.float32)
     wall_terms.add_line_terms(patch_of, sums, terms)
-    wall_terms.eliminate_lines(wall_terms.line_roots(terms), scan_of, patch_of, sums, own, columns, found)
+    roots, weights = wall_terms.line_roots(terms), np.ones(walls)
+    wall_terms.eliminate_lines(roots, weights, scan_of, patch_of, sums, own, columns, found)
     poses, lines = slice(0, 3 * scans), slice(3 * scans, None)
     schur = full[poses, lines] @ np.linalg.inv(full[lines, lines])
     expected = full[poses, poses] - schur @ full[lines, poses]

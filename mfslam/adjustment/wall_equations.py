@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mfslam import icp
-from mfslam.adjustment.noise import Noise, Residuals
+from mfslam.adjustment.noise import MIN_SCANS, Noise, Residuals
 from mfslam.adjustment.points import ScanPoints
 from mfslam.adjustment.walls import Walls
 from mfslam.kernels import partners, wall_patches, wall_terms
@@ -16,6 +16,7 @@ from mfslam.types import FloatArray, Int32Array
 
 PATCH_M, PATCH_KERNELS = 0.25, 3.0  # length of a patch, and at least so many scales of the kernel
 FACING_COS = 0.7  # a point faces as its patch does, within 45 deg
+DISAGREE = 2.0  # the scans that saw a patch, where their chi2 is above that many times the usual one
 
 _Groups = tuple[Int32Array, Int32Array, FloatArray]
 
@@ -38,21 +39,32 @@ def equations_of(
             yield _groups(points, poses, scans, patch, lines, kernel_m, noise)
 
     # the sums of all groups of a long log would not be small: they are made anew for the second look at them
-    terms, count = np.zeros((len(lines), 6)), 0
+    terms, count = np.zeros((len(lines), 7)), 0
     for found in groups():
         wall_terms.add_line_terms(found[1], found[2], terms)
         count += len(found[1])
         kept = [found] if len(chunks) == 1 else []
-    roots = wall_terms.line_roots(terms)
+    weights = _weights(terms)
+    roots = wall_terms.line_roots(np.append(weights[:, None] * terms[:, :5], terms[:, 5:], axis=1))
     own, rhs = np.zeros((len(poses), 3, 3)), np.zeros((len(poses), 3))
     columns, left = np.empty((count, 3, 2), np.float32), np.empty((count, 4), np.float32)
     scan_of, patch_of, n = np.empty(count, np.int32), np.empty(count, np.int32), 0
     for scans, patches, sums in kept or groups():
         rows = slice(n, n + len(scans))
-        wall_terms.eliminate_lines(roots, scans, patches, sums, own, columns[rows], rhs)
+        wall_terms.eliminate_lines(roots, weights, scans, patches, sums, own, columns[rows], rhs)
         scan_of[rows], patch_of[rows], left[rows] = scans, patches, sums[:, 20:24]
         n = rows.stop
     return Walls(own, columns, scan_of, patch_of, len(lines)), rhs, Residuals(patch_of, left, len(lines))
+
+
+def _weights(terms: FloatArray) -> FloatArray:
+    """(Q,) of patches with ``terms`` (Q, 7): less than 1 where scans disagree far more than usual: what they saw has moved."""
+    scans, chi2 = terms[:, 5], terms[:, 6]
+    told = scans >= MIN_SCANS
+    if not told.any():
+        return np.ones(len(terms))
+    usual = max(float(np.median(chi2[told] / scans[told])), 1e-12)
+    return np.asarray(np.minimum(1.0, DISAGREE * usual * scans / np.maximum(chi2, 1e-12)) ** 2)
 
 
 def _groups(
@@ -88,7 +100,7 @@ def find_patches(
             len(seeds[1]), points.points_m, points.first, poses, patch, lines, kernel_m
         )
     # what is no line, such as a corner or a crowd, says nothing
-    straight = (lines[:, 4] >= 0.0) & (lines[:, 4] < (3.0 * noise.range_sigma_m) ** 2 + (0.5 * kernel_m) ** 2)
+    straight = (lines[:, 4] >= 0.0) & (lines[:, 4] < (0.5 * kernel_m) ** 2)
     number = np.where(np.append(straight, False), np.arange(len(lines) + 1, dtype=np.int32), np.int32(-1))
     return lines, number[patch]
 

@@ -140,10 +140,11 @@ def _call_adjustment() -> None:
         points, origins, spare, normals, first, scan, patch, lines, 0.02, 0.005, 0.1
     )
     scan_of, patch_of, sums = groups
-    terms = np.zeros((size, 6))
+    terms, weights = np.zeros((size, 7)), np.ones(size)
     wall_terms.add_line_terms(patch_of, sums, terms)
     own, columns, rhs = np.zeros((1, 3, 3)), np.empty((len(sums), 3, 2), np.float32), np.zeros((1, 3))
-    wall_terms.eliminate_lines(wall_terms.line_roots(terms), scan_of, patch_of, sums, own, columns, rhs)
+    roots = wall_terms.line_roots(terms)
+    wall_terms.eliminate_lines(roots, weights, scan_of, patch_of, sums, own, columns, rhs)
     walls = own, columns, scan_of, patch_of
     one_pose, coarse_of, room = np.zeros((3, 1)), np.zeros(1, np.int64), np.zeros((2 * size, 1))
     wall_terms.add_wall_product(*walls, one_pose, room, np.zeros((3, 1)))

@@ -162,7 +162,7 @@ def group_sums(
             # by where the wall is, not by the range told: a cut by that only moves the limit
             if spare[i] + r * distance / (j0 * bx + j1 * by) < LIMIT_SIGMAS * range_sigma:
                 continue
-            slant = (bx * normals[i, 0] + by * normals[i, 1]) / distance
+            slant = max(abs(bx * normals[i, 0] + by * normals[i, 1]), abs(j0 * bx + j1 * by)) / distance
             own = range_sigma * slant
             shared = size[q] * patch_sigma * patch_sigma
             kernel = geman_mcclure(r, kernel_m)

@@ -15,7 +15,8 @@ from mfslam.types import Float32Array, FloatArray, Int32Array, IntArray
 
 @kernel
 def add_line_terms(patch_of: Int32Array, sums: FloatArray, terms: FloatArray) -> None:
-    """Add groups (M,) to the ``terms`` (Q, 6) of the lines of their patches: block (3), gradient (2), number of scans."""
+    """Add groups (M,) to the ``terms`` (Q, 7) of the lines of their patches: block (3), gradient (2), number of scans, and chi2 of
+    where the scans saw it."""
     for g in range(patch_of.shape[0]):
         q = patch_of[g]
         for u in range(3):
@@ -23,6 +24,7 @@ def add_line_terms(patch_of: Int32Array, sums: FloatArray, terms: FloatArray) ->
         terms[q, 3] += sums[g, 18]
         terms[q, 4] += sums[g, 19]
         terms[q, 5] += 1.0
+        terms[q, 6] += sums[g, 18] * sums[g, 18] / sums[g, 12]
 
 
 @kernel
@@ -45,34 +47,36 @@ def line_roots(terms: FloatArray) -> FloatArray:
 
 @kernel
 def eliminate_lines(
-    roots: FloatArray, scan_of: Int32Array, patch_of: Int32Array, sums: FloatArray, own: FloatArray,
+    roots: FloatArray, weights: FloatArray, scan_of: Int32Array, patch_of: Int32Array, sums: FloatArray, own: FloatArray,
     columns: Float32Array, rhs: FloatArray,
 ) -> None:  # fmt: skip
-    """Schur complement of `wall_patches.group_sums` by the patches' lines (`line_roots`), factorised.
+    """Schur complement of `wall_patches.group_sums`, times the ``weights`` (Q,) of their patches, by the patches' lines
+    (`line_roots` of what they weigh), factorised.
 
     Fills ``columns`` (M, 3, 2) of the groups, adds to ``own`` (K, 3, 3) and the right-hand side (K, 3): the information
     of poses k and l is [k = l] own_k less, over the patches, the sum of column_kq column_lq^T.
     """
     for g in range(patch_of.shape[0]):
         q, k = patch_of[g], scan_of[g]
+        w = weights[q]
         r0, r1, r2, t0, t1 = roots[q, 0], roots[q, 1], roots[q, 2], roots[q, 3], roots[q, 4]
         for u in range(3):
-            c0 = sums[g, 6 + u] * r0 + sums[g, 9 + u] * r1
-            c1 = sums[g, 9 + u] * r2
+            c0 = w * (sums[g, 6 + u] * r0 + sums[g, 9 + u] * r1)
+            c1 = w * sums[g, 9 + u] * r2
             columns[g, u, 0], columns[g, u, 1] = c0, c1
             if r0 != 0.0:
-                rhs[k, u] += sums[g, 15 + u] - c0 * t0 - c1 * t1
+                rhs[k, u] += w * sums[g, 15 + u] - c0 * t0 - c1 * t1
         if r0 == 0.0:
             continue
-        own[k, 0, 0] += sums[g, 0]
-        own[k, 1, 1] += sums[g, 3]
-        own[k, 2, 2] += sums[g, 5]
-        own[k, 0, 1] += sums[g, 1]
-        own[k, 1, 0] += sums[g, 1]
-        own[k, 0, 2] += sums[g, 2]
-        own[k, 2, 0] += sums[g, 2]
-        own[k, 1, 2] += sums[g, 4]
-        own[k, 2, 1] += sums[g, 4]
+        own[k, 0, 0] += w * sums[g, 0]
+        own[k, 1, 1] += w * sums[g, 3]
+        own[k, 2, 2] += w * sums[g, 5]
+        own[k, 0, 1] += w * sums[g, 1]
+        own[k, 1, 0] += w * sums[g, 1]
+        own[k, 0, 2] += w * sums[g, 2]
+        own[k, 2, 0] += w * sums[g, 2]
+        own[k, 1, 2] += w * sums[g, 4]
+        own[k, 2, 1] += w * sums[g, 4]
 
 
 @kernel
