@@ -35,12 +35,14 @@ def acceleration_lever_s2(laser: Laser) -> float:
     return 0.5 * float(np.mean(np.square(beam_times_s(laser))))
 
 
-def deskew(scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: float = 0.0) -> DeskewedScan:
+def deskew(
+    scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: float = 0.0, doubtful: bool = False
+) -> DeskewedScan:
     """Points of ``scan`` in the body frame at its reference instant.
 
     ``body_twist`` (3,): m/s, m/s, rad/s, taken as constant through the scan; or (6,): that at its reference instant,
     followed by its change per second. ``spacing_m``: points in
-    beam order are thinned to this spacing after their normals were estimated.
+    beam order are thinned to this spacing after their normals were estimated. ``doubtful``: normals that may be wrong, too.
     """
     laser = scan.laser
     times_s = beam_times_s(laser)
@@ -51,7 +53,7 @@ def deskew(scan: Scan, body_twist: FloatArray, config: DeskewConfig, spacing_m: 
         ranges_m = (ranges_m + body_twist[0] * times_s).astype(np.float32)
     points, normals, beams = kernels.oriented_points(
         ranges_m, beam_directions(laser), times_s, laser.body_T_laser, twist, laser.range_min_m, laser.range_max_m,
-        beam_step_rad(laser), laser.range_sigma_m, spacing_m,
+        beam_step_rad(laser), laser.range_sigma_m, spacing_m, doubtful,
     )  # fmt: skip
     reference_ns = scan.stamp_ns + round(reference_offset_s(laser) * 1e9)
     return DeskewedScan(reference_ns, points, normals, beams)

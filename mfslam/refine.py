@@ -145,7 +145,7 @@ def localise_between(
         surface = merged_surface([in_world(k) for k in sorted(members)])
         for n in waiting:
             scan, guess = scans[n], world_T_body[n]
-            cloud = deskew(scan, twists[n], config.deskew, config.icp.point_spacing_m)
+            cloud = deskew(scan, twists[n], config.deskew, config.icp.point_spacing_m, True)
             match = icp.register(
                 surface, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m, config.icp, guess,
                 LOCALISE_SIGMAS, config.refine.search_radius_m,

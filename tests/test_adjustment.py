@@ -11,6 +11,7 @@ from mfslam import se2
 from mfslam.adjustment import Noise, ScanPoints, WheelTerms, adjust
 from mfslam.adjustment.equations import Equations, Solver
 from mfslam.adjustment.noise import Residuals, far_off_m
+from mfslam.adjustment.wall_equations import disagreement_weights
 from mfslam.adjustment.walls import Walls
 from mfslam.config import Config, OdometryConfig
 from mfslam.deskew import deskew
@@ -256,3 +257,19 @@ def test_how_far_off_scans_are_is_told_by_patches_that_several_saw():
     assert far_off_m(groups(seen_by_many + seen_by_two, mean_m, 10.0)) == pytest.approx(0.0485, abs=5e-4)
     assert far_off_m(groups(seen_by_two, [0.0, 3.0], 10.0)) == 0.0
     assert far_off_m(groups(seen_by_many, mean_m[:100], 1.0)) == 0.0, "single points are their own noise"
+
+
+def test_patches_on_which_scans_disagree_weigh_less():
+    """Of what moves, each scan is sure of another place."""
+    rng, scans, walls = np.random.default_rng(0), 40, 30
+    off = rng.normal(size=(scans, walls))
+    off[:, 0] *= 10.0
+    sums = np.zeros((scans * walls, wall_patches.SUMS))
+    sums[:, 12], sums[:, 18] = 1.0, off.ravel()
+    patch_of = np.tile(np.arange(walls, dtype=np.int32), scans)
+    terms = np.zeros((walls, 7))
+    wall_terms.add_line_terms(patch_of, sums, terms)
+    weights = disagreement_weights(terms)
+    assert weights[0] < 0.01
+    assert np.all(weights[1:] > 0.9)
+    np.testing.assert_array_equal(disagreement_weights(np.zeros((3, 7))), 1.0)

@@ -177,3 +177,36 @@ def test_a_turn_that_grows_through_the_scan_is_followed_exactly():
     bearings = (model.angles_rad + rate * times + 0.5 * change * times**2)[cloud.beams]
     expected = ranges[cloud.beams, None] * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
     np.testing.assert_allclose(cloud.points_m, expected, atol=1e-9)
+
+
+def facing_share(segments, world_T_laser, sigma_m, bearing_deg=(-180.0, 180.0)):
+    """Share of the beams within some bearings that get a normal, if a doubtful one, and these normals."""
+    model = dataclasses.replace(rooms.laser(n_beams=720), range_sigma_m=sigma_m)
+    scan = rooms.moving_scan(segments, np.zeros((0, 3)), np.array(world_T_laser), np.zeros(3), model)
+    noise_m = np.random.default_rng(0).normal(0.0, sigma_m, scan.ranges_m.shape)
+    noisy = Scan(0, (scan.ranges_m + noise_m).astype(np.float32), model)
+    cloud = deskew(noisy, np.zeros(3), POSE, doubtful=True)
+    low, high = np.radians(bearing_deg)
+    bearings = model.angles_rad[cloud.beams]
+    normals = cloud.normals[(low <= bearings) & (bearings <= high)]
+    return float(np.mean(normals.any(axis=1))), normals[normals.any(axis=1)]
+
+
+def test_a_wall_has_normals_whatever_the_noise():
+    share, normals = facing_share(WALL, [2.0, 0.0, 0.0], 0.02, (-45.0, 45.0))
+    assert share > 0.9
+    assert np.median(np.abs(np.arctan2(normals[:, 1], -normals[:, 0]))) < 0.08
+
+
+def test_a_wall_seen_at_a_slant_has_normals():
+    """Neighbouring beams meet it half a metre apart."""
+    share, normals = facing_share(np.array([[-20.0, 1.0, 20.0, 1.0]]), [0.0, 0.0, 0.0], 0.005, (8.0, 16.0))
+    assert share > 0.9
+    assert np.abs(np.arctan2(normals[:, 0], -normals[:, 1])).max() < 0.1
+
+
+def test_a_post_before_a_wall_lends_it_no_normals():
+    """Beams past an edge jump from one surface to the other: no line between the two."""
+    walls = np.array([[5.0, -5.0, 5.0, 5.0], [2.0, 0.0, 2.0, 5.0]])
+    _, normals = facing_share(walls, [0.0, 0.0, 0.0], 0.005, (-20.0, 20.0))
+    assert np.abs(np.arctan2(normals[:, 1], -normals[:, 0])).max() < 0.3

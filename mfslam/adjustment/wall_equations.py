@@ -44,7 +44,7 @@ def equations_of(
         wall_terms.add_line_terms(found[1], found[2], terms)
         count += len(found[1])
         kept = [found] if len(chunks) == 1 else []
-    weights = _weights(terms)
+    weights = disagreement_weights(terms)
     roots = wall_terms.line_roots(np.append(weights[:, None] * terms[:, :5], terms[:, 5:], axis=1))
     own, rhs = np.zeros((len(poses), 3, 3)), np.zeros((len(poses), 3))
     columns, left = np.empty((count, 3, 2), np.float32), np.empty((count, 4), np.float32)
@@ -57,7 +57,7 @@ def equations_of(
     return Walls(own, columns, scan_of, patch_of, len(lines)), rhs, Residuals(patch_of, left, len(lines))
 
 
-def _weights(terms: FloatArray) -> FloatArray:
+def disagreement_weights(terms: FloatArray) -> FloatArray:
     """(Q,) of patches with ``terms`` (Q, 7): less than 1 where scans disagree far more than usual: what they saw has moved."""
     scans, chi2 = terms[:, 5], terms[:, 6]
     told = scans >= MIN_SCANS

@@ -55,6 +55,7 @@ def _call_scans() -> None:
         0.08,
         0.01,
         0.05,
+        True,
     )
     ends.wall_ends(
         np.full(40, 2.0, np.float32), -normals, np.zeros(40), np.zeros(3), np.ones(3), 0.1, 10.0, 0.01

@@ -12,12 +12,12 @@ from mfslam.types import BoolArray, Float32Array, FloatArray, IntArray
 @kernel
 def oriented_points(
     ranges: Float32Array, directions: FloatArray, times: FloatArray, mount: FloatArray, twist: FloatArray,
-    range_min: float, range_max: float, beam_step: float, sigma: float, spacing: float,
+    range_min: float, range_max: float, beam_step: float, sigma: float, spacing: float, doubtful: bool,
 ) -> tuple[FloatArray, FloatArray, IntArray]:  # fmt: skip
     """A scan's points and normals (M, 2) in the body frame at time 0, and their beams (M,): `project_beams`,
     `estimate_normals`, then, with a ``spacing``, `thin_points`."""
     points, beams = project_beams(ranges, directions, times, mount, twist, range_min, range_max)
-    normals = estimate_normals(points, beams, mount, beam_step, sigma)
+    normals = estimate_normals(points, beams, mount, beam_step, sigma, doubtful)
     if spacing > 0.0:
         keep = thin_points(points, normals, beams, mount, beam_step, spacing)
         m = 0
@@ -75,24 +75,31 @@ def project_beams(
 
 @helper
 def estimate_normals(
-    points: FloatArray, beams: IntArray, origin: FloatArray, beam_step: float, sigma: float
+    points: FloatArray,
+    beams: IntArray,
+    origin: FloatArray,
+    beam_step: float,
+    sigma: float,
+    doubtful: bool = False,
 ) -> FloatArray:
     """Normals (M, 2) facing the sensor, by a line through each point's neighbours in beam order.
 
     (0, 0) where there are fewer than three, or where they are no line: spread across it above 3 sigma, or above a fifth of
-    the spread along it with what noise adds taken off, half of that with it.
+    the spread along it. ``doubtful``: those as well that may be lines but for the noise, and walls seen at such a slant that
+    three beams alone meet them; for whoever weighs them against other scans.
     """
     m = points.shape[0]
     normals = np.zeros((m, 2))
     reach = 16  # beams to either side at most
     noise = sigma * sigma
+    forgiven = 2.0 * noise if doubtful else 0.0
     for k in range(m):
         px, py = points[k, 0], points[k, 1]
         dx, dy = px - origin[0], py - origin[1]
         dist = math.sqrt(dx * dx + dy * dy)
         # wide enough that noise does not turn the line, and that sparse beams find neighbours
         radius = max(0.15, 8.0 * sigma, 4.0 * dist * beam_step)
-        r2 = min(4.0, max(radius * radius, _apart_at_a_slant(points, beams, k)))
+        r2 = min(4.0, max(radius * radius, _apart_at_a_slant(points, beams, k) if doubtful else 0.0))
         cnt = 1
         sx = sy = sxx = sxy = syy = 0.0
         for side in (-1, 1):
@@ -116,7 +123,7 @@ def estimate_normals(
         half_trace, half_diff = 0.5 * (cxx + cyy), 0.5 * (cxx - cyy)
         root = math.sqrt(half_diff * half_diff + cxy * cxy)
         small, large = max(0.0, half_trace - root), half_trace + root
-        if large < 1e-8 or small > min(9.0 * noise, 0.04 * large + 2.0 * noise, 0.25 * large):
+        if large < 1e-8 or small > min(9.0 * noise, 0.04 * large + forgiven, 0.25 * large):
             continue
         # the eigenvector of the small eigenvalue, turned towards the sensor
         nx, ny = cxy, -half_diff - root
@@ -141,7 +148,8 @@ def _apart_at_a_slant(points: FloatArray, beams: IntArray, k: int) -> float:
     a2, b2, along = ax * ax + ay * ay, bx * bx + by * by, ax * bx + ay * by
     if max(a2, b2) > 4.0 * min(a2, b2) or along < 0.0 or along * along < 0.81 * a2 * b2:
         return 0.0
-    return 2.0 * max(a2, b2)
+    far: float = 2.0 * max(a2, b2)
+    return far
 
 
 @helper
