@@ -39,14 +39,14 @@ def beam_truth(world: World, motion: Motion, laser: LaserModel, instants_s: Floa
     truth = BeamTruth(np.empty((*shape, 3)), np.empty(shape), np.empty(shape, np.uint8))
     kinds = _kinds(world)
     for part in _chunks(laser, len(instants_s)):
-        poses, ranges, numbers = _cast(world, motion, laser, instants_s[part])
+        poses, ranges, numbers = cast_and_name_scans(world, motion, laser, instants_s[part])
         truth.world_T_laser[part], truth.ranges_m[part], truth.hits[part] = poses, ranges, kinds[numbers]
     return truth
 
 
 def cast_scans(world: World, motion: Motion, laser: LaserModel, instants_s: FloatArray) -> FloatArray:
     """True ranges (S, B) in double precision, inf beyond the laser's range: no noise, no rounding."""
-    return _cast(world, motion, laser, instants_s)[1]
+    return cast_and_name_scans(world, motion, laser, instants_s)[1]
 
 
 def sense(
@@ -59,7 +59,7 @@ def sense(
 ) -> Iterator[Float32Array]:
     """Ranges (B,) of each scan: every beam cast from the pose at its own instant, then the sensor's faults."""
     for part in _chunks(laser, len(instants_s)):
-        _, true_ranges, numbers = _cast(world, motion, laser, instants_s[part])
+        _, true_ranges, numbers = cast_and_name_scans(world, motion, laser, instants_s[part])
         if laser.mixed_share > 0.0:
             true_ranges = _mixed(true_ranges, numbers, laser.mixed_share, edge_rng)
         yield from _measured(true_ranges, laser, rng)
@@ -71,7 +71,7 @@ def _chunks(laser: LaserModel, scans: int) -> Iterator[slice]:
         yield slice(first, first + per_chunk)
 
 
-def _cast(
+def cast_and_name_scans(
     world: World, motion: Motion, laser: LaserModel, instants_s: FloatArray
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Pose of the laser, true range and number of what is hit, at each beam."""

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarking.pose_bound import bound_of
 from benchmarking.runs import Outcome, log_name, relations_beside, run_map, say
 from benchmarking.tables import Table
 from drivers.simulator import Simulation, laser_model, load_world, simulate
@@ -78,12 +79,16 @@ def map_log(simulation: Simulation, laser: str, settings: Iterable[str] = ()) ->
 
 def simulated_table(settings: Iterable[str]) -> Table:
     """Every laser through the long office."""
-    rows = [["laser", "m", "scans", "ATE mm", "ATE deg", "keyframes: mm", "deg", "CPU s"]]
+    head = ["laser", "m", "scans", "ATE mm", "ATE deg", "keyframes: mm", "deg", "bound: mm", "deg", "CPU s"]
+    rows = [head]
     for laser in LASERS:
         say(f"{OFFICE}, {laser}")
-        m = map_log(make_log(OFFICE, laser), laser, settings)
+        log = make_log(OFFICE, laser)
+        m = map_log(log, laser, settings)
+        least = bound_of(load_world(OFFICE), demo_robot(), laser_model(laser, MOUNT), log)
         errors = [f"{1e3 * m.ate_m:.1f}", f"{m.ate_deg:.3f}"]
         errors += [f"{1e3 * m.keyframes_ate_m:.1f}", f"{m.keyframes_ate_deg:.3f}"]
+        errors += [f"{1e3 * least.translation_m:.1f}", f"{least.rotation_deg:.3f}"]
         rows.append([laser, f"{m.travelled_m:.0f}", f"{m.scans:,}", *errors, f"{m.cpu_s:.0f}"])
     return rows
 
