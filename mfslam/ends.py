@@ -36,6 +36,8 @@ def wall_ends(scan: Scan, body_twist: FloatArray, config: DeskewConfig) -> Float
 
 def placed(ends: FloatArray, frame_T_body: FloatArray) -> FloatArray:
     """Ends (E, 5) in another frame."""
+    if not len(ends):  # where wheels tell, nobody asks for them
+        return ends
     turn = np.array([0.0, 0.0, frame_T_body[2]])
     return np.hstack(
         [se2.transform(frame_T_body, ends[:, :2]), se2.transform(turn, ends[:, 2:4]), ends[:, 4:]]

@@ -137,7 +137,7 @@ def localise_between(
     matches: list[Match] = []
     for a in range(0, len(keyframes) - 1, STRETCH):
         b = min(a + STRETCH, len(keyframes) - 1)
-        waiting = sorted(set(range(index[a], index[b])).difference(index[a:b].tolist()))
+        waiting = [n for k in range(a, b) for n in range(index[k] + 1, index[k + 1])]
         if not waiting:
             continue
         # those inside the stretch know its ends, too
@@ -145,7 +145,7 @@ def localise_between(
         surface = merged_surface([in_world(k) for k in sorted(members)])
         for n in waiting:
             scan, guess = scans[n], world_T_body[n]
-            cloud = deskew(scan, twists[n], config.deskew, config.icp.point_spacing_m, True)
+            cloud = deskew(scan, twists[n], config.deskew, config.icp.point_spacing_m, doubtful=True)
             match = icp.register(
                 surface, cloud.points_m, cloud.normals, guess, scan.laser.range_sigma_m, config.icp, guess,
                 LOCALISE_SIGMAS, config.refine.search_radius_m,

@@ -52,7 +52,7 @@ def search(
 
     The score is 0 where nothing reached ``min_score``.
     """
-    found = _best(place, points_m, center, half_window_m, half_window_rad, min_score, 1, 1.0)
+    found = hypotheses(place, points_m, center, half_window_m, half_window_rad, min_score, most=1)
     return found[0] if found else (center, 0.0)
 
 
@@ -64,26 +64,12 @@ def hypotheses(
     half_window_rad: float,
     min_score: float,
     rival_share: float = 0.9,
+    most: int = MAX_HYPOTHESES + 1,
 ) -> list[tuple[FloatArray, float]]:
     """The best pose (3,) and, best first, all elsewhere with ``rival_share`` of its score at least, with scores.
 
-    At most ``MAX_HYPOTHESES`` + 1: that many say that a place looks alike wherever one stands in it.
+    At most ``most``; ``MAX_HYPOTHESES`` + 1 say that a place looks alike wherever one stands in it.
     """
-    return _best(
-        place, points_m, center, half_window_m, half_window_rad, min_score, MAX_HYPOTHESES + 1, rival_share
-    )
-
-
-def _best(
-    place: SearchMap,
-    points_m: FloatArray,
-    center: FloatArray,
-    half_window_m: float,
-    half_window_rad: float,
-    min_score: float,
-    most: int,
-    rival_share: float,
-) -> list[tuple[FloatArray, float]]:
     if not len(points_m):
         return []
     points = thin_evenly(points_m, MAX_POINTS)

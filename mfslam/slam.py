@@ -329,7 +329,9 @@ class Slam:
             keyframe.cloud = NO_POINTS
         for keyframe in self.keyframes:
             n = keyframe.scan_index
-            yield deskew(self.scans[n], motions[n], self.config.deskew, self.config.icp.point_spacing_m, True)
+            yield deskew(
+                self.scans[n], motions[n], self.config.deskew, self.config.icp.point_spacing_m, doubtful=True
+            )
 
     def _variances(self, motion: SmoothMotion, offsets_s: FloatArray) -> FloatArray:
         """(S, 3) of poses at the scans' stamps as smoothed, and as their scans may be bent by an acceleration not known."""
